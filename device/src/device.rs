@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 use thiserror::Error;
 
+use crate::script::POSITION_MAX_M;
 use crate::{DeviceTime, Sample, Wrench};
 
 /// The reachable box of a device, in the frame of the scene.
@@ -43,6 +44,43 @@ pub struct DeviceCaps {
     pub max_stiffness_n_per_m: f64,
     /// Rate of reads and writes, Hz.
     pub rate_hz: f64,
+}
+
+impl DeviceCaps {
+    /// A device without motors.
+    pub(crate) fn without_motors(name: String, dof_in: u8, workspace: Workspace) -> Self {
+        Self {
+            name,
+            dof_in,
+            dof_out: 0,
+            workspace,
+            max_force_n: 0.0,
+            continuous_force_n: 0.0,
+            max_torque_nm: 0.0,
+            max_stiffness_n_per_m: 0.0,
+            rate_hz: 1000.0,
+        }
+    }
+
+    /// The limits of a desktop device, for a simulated one: 20 N peak, 10 N continuous, 3000 N/m, 1 kHz. Its
+    /// workspace is the range of a script.
+    pub(crate) fn simulated(name: &str) -> Self {
+        let half = Vector3::repeat(POSITION_MAX_M);
+        Self {
+            dof_out: 3,
+            max_force_n: 20.0,
+            continuous_force_n: 10.0,
+            max_stiffness_n_per_m: 3000.0,
+            ..Self::without_motors(
+                name.to_owned(),
+                6,
+                Workspace {
+                    min: -half,
+                    max: half,
+                },
+            )
+        }
+    }
 }
 
 /// Calibration state of a device.
@@ -165,8 +203,10 @@ pub trait HapticDevice: Send {
     /// Capabilities; constant while the device is open.
     fn caps(&self) -> &DeviceCaps;
 
-    /// Calibration state.
-    fn calibration(&self) -> Calibration;
+    /// Calibration state; without a reference to find, none is needed.
+    fn calibration(&self) -> Calibration {
+        Calibration::NotNeeded
+    }
 
     /// Runs the calibration that this program supports, in the posture that the driver requires, and returns the
     /// state after it. A device that its maker's program calibrates only returns its state.
@@ -175,7 +215,9 @@ pub trait HapticDevice: Send {
     }
 
     /// Owner of the clock that drives it.
-    fn clock(&self) -> ClockOwner;
+    fn clock(&self) -> ClockOwner {
+        ClockOwner::Ours
+    }
 
     /// Switches the motors. Off is immediate and writes zero first; on may ramp
     /// ([`ForceState::Ramping`]).
@@ -203,51 +245,4 @@ pub trait HapticDevice: Send {
 
     /// Writes zero, then closes. A second call does nothing.
     fn close(&mut self);
-}
-
-/// A device of whatever kind.
-impl<D: HapticDevice + ?Sized> HapticDevice for Box<D> {
-    fn caps(&self) -> &DeviceCaps {
-        (**self).caps()
-    }
-
-    fn calibration(&self) -> Calibration {
-        (**self).calibration()
-    }
-
-    fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
-        (**self).calibrate()
-    }
-
-    fn clock(&self) -> ClockOwner {
-        (**self).clock()
-    }
-
-    fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
-        (**self).enable_forces(on)
-    }
-
-    fn force_state(&self) -> ForceState {
-        (**self).force_state()
-    }
-
-    fn read(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
-        (**self).read(now)
-    }
-
-    fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
-        (**self).write(now, wrench)
-    }
-
-    fn cue(&mut self, now: DeviceTime, felt: &Wrench) {
-        (**self).cue(now, felt);
-    }
-
-    fn rendered(&self) -> Wrench {
-        (**self).rendered()
-    }
-
-    fn close(&mut self) {
-        (**self).close();
-    }
 }

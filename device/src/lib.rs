@@ -19,7 +19,6 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod backend;
-mod clamp;
 pub mod conformance;
 mod device;
 mod motors;

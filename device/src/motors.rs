@@ -1,7 +1,8 @@
 //! State of the motors, common to all drivers: closed, off, ramp and limits.
 
-use crate::clamp::{Ramp, clamp_wrench};
-use crate::{DeviceCaps, DeviceFault, DeviceTime, ForceState, Rejection, Wrench};
+use nalgebra::Vector3;
+
+use crate::{DeviceCaps, DeviceFault, DeviceTime, ForceState, Rejection, Wrench, Written};
 
 /// A driver's motors as the trait reports them: off until enabled, zero until written, closed for good.
 ///
@@ -9,8 +10,11 @@ use crate::{DeviceCaps, DeviceFault, DeviceTime, ForceState, Rejection, Wrench};
 /// [`rendered`](Self::rendered).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Motors {
+    /// Duration of the ramp after enabling, µs.
     ramp_us: i64,
-    ramp: Ramp,
+    enabled: bool,
+    /// The first write after enabling begins the ramp.
+    ramp_from: Option<DeviceTime>,
     written: Wrench,
     /// The latest time passed to the device.
     now: DeviceTime,
@@ -22,21 +26,17 @@ impl Motors {
     pub(crate) const fn new(ramp_us: i64) -> Self {
         Self {
             ramp_us,
-            ramp: Ramp::off(ramp_us),
+            enabled: false,
+            ramp_from: None,
             written: Wrench::ZERO,
             now: DeviceTime::from_micros(i64::MIN),
             open: true,
         }
     }
 
-    /// Whether the device is open.
-    pub(crate) const fn is_open(&self) -> bool {
-        self.open
-    }
-
     /// Whether the motors are off.
     pub(crate) const fn are_off(&self) -> bool {
-        self.ramp.is_off()
+        !self.enabled
     }
 
     /// The latest time passed to the device.
@@ -44,46 +44,56 @@ impl Motors {
         self.now
     }
 
+    /// An error after closing.
+    pub(crate) const fn check_open(&self) -> Result<(), DeviceFault> {
+        if self.open {
+            Ok(())
+        } else {
+            Err(DeviceFault::Closed)
+        }
+    }
+
     /// Advances the time to `now`, never backwards; an error after closing.
     pub(crate) fn advance_to(&mut self, now: DeviceTime) -> Result<DeviceTime, DeviceFault> {
-        if !self.open {
-            return Err(DeviceFault::Closed);
-        }
+        self.check_open()?;
         self.now = now.max(self.now);
         Ok(self.now)
     }
 
     /// Switches on or off, starting from zero.
     pub(crate) fn enable(&mut self, on: bool) -> Result<(), DeviceFault> {
-        if !self.open {
-            return Err(DeviceFault::Closed);
-        }
+        self.check_open()?;
         self.stop();
-        if on {
-            self.ramp = Ramp::on(self.ramp_us);
-        }
+        self.enabled = on;
         Ok(())
     }
 
     /// Zero force, motors off.
     pub(crate) fn stop(&mut self) {
-        self.ramp = Ramp::off(self.ramp_us);
+        self.enabled = false;
+        self.ramp_from = None;
         self.written = Wrench::ZERO;
     }
 
     /// Whether the motors may push.
     pub(crate) fn state(&self) -> ForceState {
-        self.ramp.state(self.now)
+        if !self.enabled {
+            ForceState::Off
+        } else if self.gain() < 1.0 {
+            ForceState::Ramping
+        } else {
+            ForceState::On
+        }
     }
 
     /// Whether a write is accepted.
     pub(crate) fn ready(&self) -> Result<(), Rejection> {
         if !self.open {
             Err(Rejection::Closed)
-        } else if self.are_off() {
-            Err(Rejection::ForcesOff)
-        } else {
+        } else if self.enabled {
             Ok(())
+        } else {
+            Err(Rejection::ForcesOff)
         }
     }
 
@@ -101,10 +111,19 @@ impl Motors {
             self.written = Wrench::ZERO;
             return Err(Rejection::NotFinite);
         }
-        self.ramp.begin(self.now);
-        let (within, clamped) = clamp_wrench(wrench, caps);
+        self.ramp_from.get_or_insert(self.now);
+        let (within, clamped) = clamped(wrench, caps);
         self.written = within;
         Ok((within, clamped))
+    }
+
+    /// [`take`](Self::take) for a driver that renders every accepted wrench.
+    pub(crate) fn write(&mut self, now: DeviceTime, wrench: Wrench, caps: &DeviceCaps) -> Written {
+        match self.take(now, wrench, caps) {
+            Ok((_, false)) => Written::Applied,
+            Ok((applied, true)) => Written::Saturated { applied },
+            Err(why) => Written::Rejected(why),
+        }
     }
 
     /// The driver renders only this wrench.
@@ -119,7 +138,9 @@ impl Motors {
 
     /// The rendered fraction of a write, 0 to 1.
     pub(crate) fn gain(&self) -> f64 {
-        self.ramp.gain(self.now)
+        self.ramp_from.map_or(0.0, |from| {
+            (self.now.micros_since(from) as f64 / self.ramp_us as f64).clamp(0.0, 1.0)
+        })
     }
 
     /// Zero force, motors off, closed for good; returns whether it was open.
@@ -127,6 +148,21 @@ impl Motors {
         self.stop();
         std::mem::replace(&mut self.open, false)
     }
+}
+
+/// `wrench` clamped to the limits of a device, and whether it was changed. The directions are kept.
+fn clamped(wrench: Wrench, caps: &DeviceCaps) -> (Wrench, bool) {
+    let within = |v: Vector3<f64>, limit: f64| {
+        let n = v.norm();
+        if n > limit {
+            (v * (limit / n), true)
+        } else {
+            (v, false)
+        }
+    };
+    let (force, a) = within(wrench.force, caps.max_force_n);
+    let (torque, b) = within(wrench.torque, caps.max_torque_nm);
+    (Wrench { force, torque }, a || b)
 }
 
 #[cfg(test)]

@@ -73,16 +73,15 @@ impl Placement {
 }
 
 /// A device with its placement; all its inputs and outputs are in the scene's frame.
-#[derive(Debug)]
-pub struct Placed<D> {
-    device: D,
+pub struct Placed {
+    device: Box<dyn HapticDevice>,
     placement: Placement,
     caps: DeviceCaps,
 }
 
-impl<D: HapticDevice> Placed<D> {
+impl Placed {
     /// A device at a placement.
-    pub fn new(device: D, placement: Placement) -> Self {
+    pub fn new(device: Box<dyn HapticDevice>, placement: Placement) -> Self {
         let mut caps = device.caps().clone();
         caps.workspace = placement.around(&caps.workspace);
         Self {
@@ -90,16 +89,6 @@ impl<D: HapticDevice> Placed<D> {
             placement,
             caps,
         }
-    }
-
-    /// The device itself.
-    pub fn device(&self) -> &D {
-        &self.device
-    }
-
-    /// Its placement.
-    pub fn placement(&self) -> &Placement {
-        &self.placement
     }
 }
 
@@ -110,7 +99,7 @@ fn turned(by: UnitQuaternion<f64>, wrench: Wrench) -> Wrench {
     }
 }
 
-impl<D: HapticDevice> HapticDevice for Placed<D> {
+impl HapticDevice for Placed {
     fn caps(&self) -> &DeviceCaps {
         &self.caps
     }
@@ -200,7 +189,7 @@ mod tests {
         let options = conformance::Options {
             moves_under_force: true,
         };
-        let mut placed = Placed::new(hand, placement);
+        let mut placed = Placed::new(Box::new(hand), placement);
         let report = conformance::run(&mut placed, &mut clock, options);
         assert!(report.passed(), "{report}");
     }

@@ -2,15 +2,13 @@
 
 use std::ffi::OsString;
 use std::io::Write as _;
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
-use palpate_room::SEATS_MAX;
+use clap::{Parser, Subcommand};
 
 use crate::export::Exports;
-use crate::host::{self, HostOptions, IdentityPlace};
+use crate::host::{self, HostOptions};
 use crate::inspect::Picture;
 use crate::output::print_result;
 use crate::{ServerError, build, inspect, sample};
@@ -123,47 +121,7 @@ enum Command {
     },
     /// Serve a session and print a join link per role
     #[command(after_help = HOST)]
-    Host(HostArgs),
-}
-
-#[derive(Debug, Args)]
-struct HostArgs {
-    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
-    model: String,
-    /// Address and UDP port to listen on, or a port alone for all addresses; port 0 takes any free one
-    #[arg(long, value_name = "[ADDRESS:]PORT", default_value = "0.0.0.0:4433", value_parser = host::parse_listen)]
-    listen: SocketAddr,
-    /// Folder of the host's certificate, its key and the secrets of the links, or new for a temporary identity
-    /// [default: `$XDG_STATE_HOME/palpate/host` or `~/.local/state/palpate/host`]
-    #[arg(long, value_name = "DIR|new")]
-    identity: Option<IdentityPlace>,
-    /// Make new join links and invalidate the old ones
-    #[arg(long)]
-    new_links: bool,
-    /// Host name or address to put into the join links [default: this machine's]
-    #[arg(long, value_name = "HOST")]
-    public: Option<String>,
-    /// Ticks per second of the authoritative tissue and of all views
-    #[arg(long, default_value_t = host::TICK_HZ, value_name = "HZ")]
-    tick_hz: u32,
-    /// Artificial time compensation: adaptive, fixed:MS or none
-    #[arg(long, default_value = "adaptive", value_name = "MODE")]
-    compensation: String,
-    /// Maximum adaptive delay in ms (uplink plus downlink)
-    #[arg(long, default_value_t = 400, value_name = "MS")]
-    delay_cap: u32,
-    /// Seats in the session, including spectators: 1 to 64
-    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=i64::from(SEATS_MAX)))]
-    seats: u16,
-    /// Start scripts of clients with `--at session` once N tools have joined
-    #[arg(long, default_value_t = 1, value_name = "N")]
-    start_when: u16,
-    /// End after S seconds
-    #[arg(long, value_name = "S")]
-    duration: Option<f64>,
-    /// Print one JSON object when listening and one at the end
-    #[arg(long)]
-    json: bool,
+    Host(HostOptions),
 }
 
 /// Runs the command line `args`, whose first element is the program name.
@@ -223,40 +181,7 @@ fn execute(command: Command) -> Result<(), ServerError> {
             let (value, text) = inspect::inspect(&file, &exports, &picture)?;
             print_result(&if json { value.to_string() } else { text })?;
         }
-        Command::Host(args) => host::host(&options(args)?)?,
+        Command::Host(options) => host::host(&options)?,
     }
     Ok(())
-}
-
-fn options(args: HostArgs) -> Result<HostOptions, ServerError> {
-    let bad = |sentence: String| Err(ServerError::CommandLine(sentence));
-    if !(1..=500).contains(&args.tick_hz) {
-        return bad(format!(
-            "--tick-hz {} is not between 1 and 500",
-            args.tick_hz
-        ));
-    }
-    if args.duration.is_some_and(|s| !(s.is_finite() && s > 0.0)) {
-        return bad("--duration must be a number of seconds above 0".into());
-    }
-    if args.start_when > args.seats {
-        return bad(format!(
-            "--start-when {} waits for more tools than there are seats ({})",
-            args.start_when, args.seats
-        ));
-    }
-    let compensation = host::parse_compensation(&args.compensation, args.delay_cap)?;
-    Ok(HostOptions {
-        model: args.model,
-        listen: args.listen,
-        identity: args.identity.unwrap_or_default(),
-        new_links: args.new_links,
-        public: args.public,
-        tick_hz: args.tick_hz,
-        compensation,
-        seats: args.seats,
-        start_when_tools: args.start_when,
-        duration_s: args.duration,
-        json: args.json,
-    })
 }

@@ -75,7 +75,10 @@ impl fmt::Display for Report {
     }
 }
 
-type Verdict = Result<(), String>;
+/// Description of a violation, or the error of the device.
+type Violation = Box<dyn std::error::Error>;
+
+type Verdict = Result<(), Violation>;
 
 /// Observation and faults outside the driver. All hooks are optional; laws that need a missing hook are left out.
 #[derive(Default)]
@@ -122,21 +125,16 @@ pub fn run_with(
         is_unplugged: false,
     };
     let mut rows = Vec::new();
-    for Law {
-        words,
-        applies,
-        check,
-    } in laws
-    {
+    for (law, applies, check) in laws {
         let outcome = match applies {
-            Ok(()) => check(&mut bench).map_or_else(Outcome::Failed, |()| Outcome::Passed),
+            Ok(()) => match check(&mut bench) {
+                Ok(()) => Outcome::Passed,
+                Err(why) => Outcome::Failed(why.to_string()),
+            },
             Err("") => continue,
             Err(why) => Outcome::Skipped(why),
         };
-        rows.push(Row {
-            law: words,
-            outcome,
-        });
+        rows.push(Row { law, outcome });
     }
     if !has_motors {
         rows.push(Row {
@@ -147,12 +145,12 @@ pub fn run_with(
     Report { rows }
 }
 
-/// A law, the reason for skipping it (no row where the reason is empty), and its test.
-struct Law {
-    words: &'static str,
-    applies: Result<(), &'static str>,
-    check: fn(&mut Bench<'_, '_>) -> Verdict,
-}
+/// A law in words, the reason for skipping it (no row where the reason is empty), and its test.
+type Law = (
+    &'static str,
+    Result<(), &'static str>,
+    fn(&mut Bench<'_, '_>) -> Verdict,
+);
 
 /// All laws in the order they are tried.
 fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
@@ -160,78 +158,73 @@ fn laws_for(options: Options, has_motors: bool, hooks: &Hooks<'_>) -> Vec<Law> {
     // For a device without motors, one row covers all of them.
     let forced = when(has_motors, "");
     let moves = forced.and(when(options.moves_under_force, "the tool may be held"));
-    let law = |words, applies, check| Law {
-        words,
-        applies,
-        check,
-    };
     vec![
-        law(
+        (
             "caps are finite and consistent",
             Ok(()),
             laws::caps_are_consistent,
         ),
-        law(
+        (
             "poses are metres, finite and of unit turn",
             Ok(()),
             laws::poses_are_metres,
         ),
-        law(
+        (
             "the time of samples does not run backwards",
             Ok(()),
             laws::time_is_monotonic,
         ),
-        law(
+        (
             "a write with forces off is rejected and renders zero",
             forced,
             laws::off_is_zero,
         ),
-        law(
+        (
             "enabling ramps up to the written wrench",
             forced,
             laws::enabling_ramps,
         ),
-        law(
+        (
             "a wrench that is not finite is rejected and renders zero",
             forced,
             laws::nan_is_zero,
         ),
-        law(
+        (
             "a wrench beyond the limit is clamped, not turned",
             forced,
             laws::clamps,
         ),
-        law(
+        (
             "a force moves the tool along its own axis",
             moves,
             laws::axes_agree,
         ),
-        law(
+        (
             "the motors get the reported force",
             forced.and(when(hooks.at_motors.is_some(), "")),
             laws::motors_get_the_reported_force,
         ),
-        law(
+        (
             "disabling renders zero at once",
             forced,
             laws::disabling_is_zero,
         ),
-        law(
+        (
             "without motors every wrench is refused, and a cue moves nothing",
             when(!has_motors, ""),
             laws::no_motors_no_force,
         ),
-        law(
+        (
             "a pulled plug ends the force and is reported",
             when(hooks.unplug.is_some(), ""),
             laws::unplugging_is_reported,
         ),
-        law(
+        (
             "closing renders zero and ends every call",
             Ok(()),
             laws::closing_is_final,
         ),
-        law(
+        (
             "the maker's side reports nothing amiss",
             when(hooks.amiss.is_some(), ""),
             laws::no_violations,

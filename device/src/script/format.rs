@@ -34,7 +34,12 @@ struct HandTable {
 
 impl Default for HandTable {
     fn default() -> Self {
-        let hand = Hand::default();
+        Hand::default().into()
+    }
+}
+
+impl From<Hand> for HandTable {
+    fn from(hand: Hand) -> Self {
         Self {
             mass_kg: hand.mass_kg,
             stiffness_n_per_m: hand.stiffness_n_per_m,
@@ -53,17 +58,9 @@ struct WayTable {
     #[serde(default)]
     button: bool,
     #[serde(default)]
-    ease: EaseName,
+    ease: Ease,
     #[serde(skip_serializing_if = "Option::is_none")]
     quat: Option<[f64; 4]>,
-}
-
-#[derive(Serialize, Deserialize, Default)]
-#[serde(rename_all = "kebab-case")]
-enum EaseName {
-    #[default]
-    MinimumJerk,
-    Linear,
 }
 
 impl Script {
@@ -88,10 +85,7 @@ impl Script {
                 position: Vector3::from(way.at_mm) / 1e3,
                 orientation,
                 button: way.button,
-                ease: match way.ease {
-                    EaseName::MinimumJerk => Ease::MinimumJerk,
-                    EaseName::Linear => Ease::Linear,
-                },
+                ease: way.ease,
             });
         }
         Self::new(file.tool.tool(), hand(&file.hand), ways, file.repeat)
@@ -99,18 +93,11 @@ impl Script {
 
     /// The script as a file; parsing it gives the same script to within a nanometre.
     pub fn to_toml(&self) -> String {
-        let (tool, hand) = (self.tool(), self.hand());
         let file = File {
             format: FORMAT.to_owned(),
             repeat: self.repeats(),
-            tool: ToolTable::of(&tool, to_mm),
-            hand: HandTable {
-                mass_kg: hand.mass_kg,
-                stiffness_n_per_m: hand.stiffness_n_per_m,
-                damping_ns_per_m: hand.damping_ns_per_m,
-                tremor_mm: to_mm(hand.tremor_m),
-                seed: hand.seed,
-            },
+            tool: ToolTable::of(&self.tool(), to_mm),
+            hand: self.hand().into(),
             way: self.ways().iter().map(way_table).collect(),
         };
         toml::to_string(&file).expect("a valid script has nothing that TOML can not say")
@@ -121,16 +108,9 @@ fn way_table(way: &WayPoint) -> WayTable {
     let q = way.orientation.quaternion();
     WayTable {
         t_s: way.t_s,
-        at_mm: [
-            to_mm(way.position.x),
-            to_mm(way.position.y),
-            to_mm(way.position.z),
-        ],
+        at_mm: way.position.map(to_mm).into(),
         button: way.button,
-        ease: match way.ease {
-            Ease::MinimumJerk => EaseName::MinimumJerk,
-            Ease::Linear => EaseName::Linear,
-        },
+        ease: way.ease,
         quat: Some([q.w, q.i, q.j, q.k]),
     }
 }

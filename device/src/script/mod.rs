@@ -41,6 +41,7 @@ mod tool;
 use std::path::Path;
 
 use nalgebra::{UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::text_file::{self, TextFileError};
@@ -96,7 +97,8 @@ impl Default for Hand {
 }
 
 /// Interpolation from the previous way point.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Ease {
     /// Rest to rest, as a hand moves.
     #[default]
@@ -334,51 +336,47 @@ impl Script {
 }
 
 fn check_hand(hand: &Hand) -> Result<(), ScriptError> {
-    let between = |key, value: f64, low: f64, high: f64, rule| {
-        if value >= low && value <= high {
-            Ok(())
-        } else {
-            Err(ScriptError::Value { key, value, rule })
-        }
-    };
     // The upper bounds keep the sub-step of the hand's integration stable: with the lightest
     // hand, stiffness * dt² / mass <= 0.0125 and damping * dt / mass <= 0.5 at dt = 0.25 ms.
-    between(
-        "hand.mass_kg",
-        hand.mass_kg,
-        0.05,
-        20.0,
-        "must be from 0.05 to 20",
-    )?;
-    between(
-        "hand.stiffness_n_per_m",
-        hand.stiffness_n_per_m,
-        1.0,
-        10_000.0,
-        "must be from 1 to 10000",
-    )?;
-    between(
-        "hand.damping_ns_per_m",
-        hand.damping_ns_per_m,
-        0.0,
-        100.0,
-        "must be from 0 to 100",
-    )?;
-    between(
-        "hand.tremor_mm",
-        hand.tremor_m * 1e3,
-        0.0,
-        10.0,
-        "must be from 0 to 10",
-    )?;
-    // TOML has signed integers of 64 bits.
-    between(
-        "hand.seed",
-        hand.seed as f64,
-        0.0,
-        (1_u64 << 62) as f64,
-        "must be at most 2^62",
-    )
+    // TOML has signed integers of 64 bits, which bounds the seed.
+    let ranges = [
+        (
+            "hand.mass_kg",
+            hand.mass_kg,
+            0.05..=20.0,
+            "must be from 0.05 to 20",
+        ),
+        (
+            "hand.stiffness_n_per_m",
+            hand.stiffness_n_per_m,
+            1.0..=1e4,
+            "must be from 1 to 10000",
+        ),
+        (
+            "hand.damping_ns_per_m",
+            hand.damping_ns_per_m,
+            0.0..=100.0,
+            "must be from 0 to 100",
+        ),
+        (
+            "hand.tremor_mm",
+            hand.tremor_m * 1e3,
+            0.0..=10.0,
+            "must be from 0 to 10",
+        ),
+        (
+            "hand.seed",
+            hand.seed as f64,
+            0.0..=(1_u64 << 62) as f64,
+            "must be at most 2^62",
+        ),
+    ];
+    for (key, value, range, rule) in ranges {
+        if !range.contains(&value) {
+            return Err(ScriptError::Value { key, value, rule });
+        }
+    }
+    Ok(())
 }
 
 fn check_ways(ways: &[WayPoint], repeat: bool) -> Result<(), ScriptError> {

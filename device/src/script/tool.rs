@@ -10,7 +10,8 @@ const BLADE_LENGTH_MM: f64 = 20.0;
 const LENGTH_MAX_M: f64 = 0.5;
 
 /// Kind of tool. In its own frame the tip is at the origin and the handle along z.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum ToolKind {
     /// A ball that presses.
     Probe,
@@ -105,7 +106,7 @@ impl Tool {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ToolTable {
-    kind: KindName,
+    kind: ToolKind,
     radius_mm: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     length_mm: Option<f64>,
@@ -113,33 +114,16 @@ pub(super) struct ToolTable {
     width_mm: Option<f64>,
 }
 
-#[derive(Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum KindName {
-    Probe,
-    Blade,
-    Needle,
-    Plate,
-    Forceps,
-}
-
 impl ToolTable {
     /// The tool that it describes, not checked yet.
     pub(super) fn tool(&self) -> Tool {
-        let kind = match self.kind {
-            KindName::Probe => ToolKind::Probe,
-            KindName::Blade => ToolKind::Blade,
-            KindName::Needle => ToolKind::Needle,
-            KindName::Plate => ToolKind::Plate,
-            KindName::Forceps => ToolKind::Forceps,
-        };
-        let usual = if kind == ToolKind::Blade {
+        let usual = if self.kind == ToolKind::Blade {
             BLADE_LENGTH_MM
         } else {
             0.0
         };
         Tool {
-            kind,
+            kind: self.kind,
             radius_m: self.radius_mm / 1e3,
             length_m: self.length_mm.unwrap_or(usual) / 1e3,
             width_m: self.width_mm.unwrap_or(0.0) / 1e3,
@@ -150,13 +134,7 @@ impl ToolTable {
     pub(super) fn of(tool: &Tool, to_mm: impl Fn(f64) -> f64) -> Self {
         let side = |m: f64| (m > 0.0).then(|| to_mm(m));
         Self {
-            kind: match tool.kind {
-                ToolKind::Probe => KindName::Probe,
-                ToolKind::Blade => KindName::Blade,
-                ToolKind::Needle => KindName::Needle,
-                ToolKind::Plate => KindName::Plate,
-                ToolKind::Forceps => KindName::Forceps,
-            },
+            kind: tool.kind,
             radius_mm: to_mm(tool.radius_m),
             length_mm: side(tool.length_m),
             width_mm: side(tool.width_m),

@@ -25,12 +25,9 @@ const FILE: &str = "identity.json";
 /// Maximum size of the file in bytes. A larger file is not from this program.
 const BYTES_MAX: u64 = 64 * 1024;
 
-/// Location of the host's identity.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub enum IdentityPlace {
-    /// The one in the user's state folder.
-    #[default]
-    Kept,
+/// Location of the host's identity, unless it is in the user's state folder.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum IdentityPlace {
     /// The one in this folder.
     Folder(PathBuf),
     /// A temporary identity that is not stored.
@@ -68,11 +65,14 @@ struct Kept {
 
 impl Identity {
     /// Loads an identity, or creates a missing one. `new_links` replaces the secrets of the links.
-    pub(super) fn obtain(place: &IdentityPlace, new_links: bool) -> Result<Self, ServerError> {
+    pub(super) fn obtain(
+        place: Option<&IdentityPlace>,
+        new_links: bool,
+    ) -> Result<Self, ServerError> {
         let folder = match place {
-            IdentityPlace::New => return Self::generate(),
-            IdentityPlace::Folder(folder) => folder.clone(),
-            IdentityPlace::Kept => state_folder()
+            Some(IdentityPlace::New) => return Self::generate(),
+            Some(IdentityPlace::Folder(folder)) => folder.clone(),
+            None => state_folder()
                 .ok_or_else(|| {
                     ServerError::CommandLine(
                         "there is no folder to keep the host's identity in: neither XDG_STATE_HOME nor HOME names one; \
@@ -210,13 +210,19 @@ mod tests {
     fn links_survive_a_restart_until_they_are_renewed() {
         let dir = tempfile::tempdir().unwrap();
         let place = at(&dir.path().join("a/b"));
-        let first = links(&Identity::obtain(&place, false).unwrap());
-        assert_eq!(links(&Identity::obtain(&place, false).unwrap()), first);
-        let renewed = links(&Identity::obtain(&place, true).unwrap());
+        let first = links(&Identity::obtain(Some(&place), false).unwrap());
+        assert_eq!(
+            links(&Identity::obtain(Some(&place), false).unwrap()),
+            first
+        );
+        let renewed = links(&Identity::obtain(Some(&place), true).unwrap());
         assert_eq!(renewed.0, first.0, "the host is the same");
         assert!(renewed.1.iter().all(|grant| !first.1.contains(grant)));
-        assert_eq!(links(&Identity::obtain(&place, false).unwrap()), renewed);
-        let throwaway = links(&Identity::obtain(&IdentityPlace::New, false).unwrap());
+        assert_eq!(
+            links(&Identity::obtain(Some(&place), false).unwrap()),
+            renewed
+        );
+        let throwaway = links(&Identity::obtain(Some(&IdentityPlace::New), false).unwrap());
         assert_ne!(throwaway.0, first.0);
     }
 
@@ -225,7 +231,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let place = at(dir.path());
         let hosts: Vec<_> = std::thread::scope(|scope| {
-            let start = || scope.spawn(|| links(&Identity::obtain(&place, false).unwrap()));
+            let start = || scope.spawn(|| links(&Identity::obtain(Some(&place), false).unwrap()));
             let started: Vec<_> = (0..4).map(|_| start()).collect();
             started.into_iter().map(|h| h.join().unwrap()).collect()
         });
@@ -236,7 +242,7 @@ mod tests {
     fn damaged_identity_is_reported_without_its_secrets() {
         let dir = tempfile::tempdir().unwrap();
         let place = at(dir.path());
-        Identity::obtain(&place, false).unwrap();
+        Identity::obtain(Some(&place), false).unwrap();
         let path = dir.path().join(FILE);
         let text = std::fs::read_to_string(&path).unwrap();
         let key = text.split('"').nth(11).unwrap().to_owned();
@@ -248,7 +254,10 @@ mod tests {
             text.replace("trainee", "intern"),
         ] {
             write_private(&path, wrong.as_bytes(), true).unwrap();
-            let said = Identity::obtain(&place, false).err().unwrap().to_string();
+            let said = Identity::obtain(Some(&place), false)
+                .err()
+                .unwrap()
+                .to_string();
             assert!(said.contains(FILE) && said.contains("damaged"), "{said}");
             assert!(!said.contains(&key[..40]), "{said}");
         }
@@ -260,12 +269,15 @@ mod tests {
         use std::os::unix::fs::PermissionsExt as _;
         let dir = tempfile::tempdir().unwrap();
         let place = at(dir.path());
-        Identity::obtain(&place, false).unwrap();
+        Identity::obtain(Some(&place), false).unwrap();
         let path = dir.path().join(FILE);
         let mode = std::fs::metadata(&path).unwrap().permissions().mode();
         assert_eq!(mode & 0o777, 0o600);
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o640)).unwrap();
-        let said = Identity::obtain(&place, false).err().unwrap().to_string();
+        let said = Identity::obtain(Some(&place), false)
+            .err()
+            .unwrap()
+            .to_string();
         assert!(said.contains("chmod 600"), "{said}");
     }
 }

@@ -19,19 +19,21 @@ use palpate_protocol::{Epoch, Grant, JoinLink, ModelHash, ModelInfo, ResumeToken
 use palpate_room::RoomConfig;
 use palpate_transport::ModelSource;
 
-pub use identity::IdentityPlace;
-pub use options::{HostOptions, TICK_HZ, parse_compensation, parse_listen};
+pub(crate) use options::HostOptions;
+pub use options::TICK_HZ;
 pub use serve::solver_limit;
 pub use summary::{HostSummary, Listening, ListeningModel, Refused, TickTimes};
 
 use crate::{ServerError, load};
-use identity::Identity;
+use identity::{Identity, IdentityPlace};
 
 /// Hosts a session until it is interrupted or its duration is over.
-pub fn host(options: &HostOptions) -> Result<(), ServerError> {
+pub(crate) fn host(options: &HostOptions) -> Result<(), ServerError> {
+    let compensation = options.check()?;
     progress(&format!("preparing the model {}", options.model));
     let loaded = load::load(&options.model)?;
-    let Identity { server, grants } = Identity::obtain(&options.identity, options.new_links)?;
+    let Identity { server, grants } =
+        Identity::obtain(options.identity.as_ref(), options.new_links)?;
     progress("opening the session");
     let info = ModelInfo {
         hash: ModelHash(xxhash_rust::xxh3::xxh3_64(&loaded.bytes)),
@@ -51,9 +53,9 @@ pub fn host(options: &HostOptions) -> Result<(), ServerError> {
         grants: grants.clone(),
         seats: options.seats,
         tick_hz: options.tick_hz,
-        compensation: options.compensation,
+        compensation,
         fresh_token: |_| ResumeToken(rand::random()),
-        start_when_tools: options.start_when_tools,
+        start_when_tools: options.start_when,
     };
     let nodes = loaded.model.nodes.len();
     let announce = |address: SocketAddr| {

@@ -2,7 +2,9 @@
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
+use clap::Args;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+use palpate_room::SEATS_MAX;
 
 use super::IdentityPlace;
 use crate::ServerError;
@@ -19,37 +21,74 @@ const DELAY_MAX_MS: u32 = 1000;
 pub const TICK_HZ: u32 = 30;
 
 /// The options of `palpate-server host`.
-#[derive(Debug, Clone)]
-pub struct HostOptions {
-    /// Model file, scene file or name of a sample.
-    pub model: String,
-    /// Where to listen.
-    pub listen: SocketAddr,
-    /// The certificate and the secrets of the links.
-    pub identity: IdentityPlace,
-    /// Whether to replace the secrets of the links.
-    pub new_links: bool,
-    /// Host name in join links.
-    pub public: Option<String>,
-    /// Ticks per second.
-    pub tick_hz: u32,
-    /// Artificial time compensation.
-    pub compensation: CompensationSettings,
-    /// Seats in the session.
-    pub seats: u16,
-    /// Start scripts once this number of tools have joined.
-    pub start_when_tools: u16,
-    /// Duration in seconds.
-    pub duration_s: Option<f64>,
-    /// Print JSON instead of text.
-    pub json: bool,
+#[derive(Debug, Clone, Args)]
+pub(crate) struct HostOptions {
+    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
+    pub(super) model: String,
+    /// Address and UDP port to listen on, or a port alone for all addresses; port 0 takes any free one
+    #[arg(long, value_name = "[ADDRESS:]PORT", default_value = "0.0.0.0:4433", value_parser = parse_listen)]
+    pub(super) listen: SocketAddr,
+    /// Folder of the host's certificate, its key and the secrets of the links, or new for a temporary identity
+    /// [default: `$XDG_STATE_HOME/palpate/host` or `~/.local/state/palpate/host`]
+    #[arg(long, value_name = "DIR|new")]
+    pub(super) identity: Option<IdentityPlace>,
+    /// Make new join links and invalidate the old ones
+    #[arg(long)]
+    pub(super) new_links: bool,
+    /// Host name or address to put into the join links [default: this machine's]
+    #[arg(long, value_name = "HOST")]
+    pub(super) public: Option<String>,
+    /// Ticks per second of the authoritative tissue and of all views
+    #[arg(long, default_value_t = TICK_HZ, value_name = "HZ")]
+    pub(super) tick_hz: u32,
+    /// Artificial time compensation: adaptive, fixed:MS or none
+    #[arg(long, default_value = "adaptive", value_name = "MODE")]
+    pub(super) compensation: String,
+    /// Maximum adaptive delay in ms (uplink plus downlink)
+    #[arg(long, default_value_t = 400, value_name = "MS")]
+    pub(super) delay_cap: u32,
+    /// Seats in the session, including spectators: 1 to 64
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=i64::from(SEATS_MAX)))]
+    pub(super) seats: u16,
+    /// Start scripts of clients with `--at session` once N tools have joined
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    pub(super) start_when: u16,
+    /// End after S seconds
+    #[arg(long, value_name = "S")]
+    pub(super) duration: Option<f64>,
+    /// Print one JSON object when listening and one at the end
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+impl HostOptions {
+    /// Checks the options that depend on one another. Returns the time compensation.
+    pub(super) fn check(&self) -> Result<CompensationSettings, ServerError> {
+        let bad = |sentence: String| Err(ServerError::CommandLine(sentence));
+        if !(1..=500).contains(&self.tick_hz) {
+            return bad(format!(
+                "--tick-hz {} is not between 1 and 500",
+                self.tick_hz
+            ));
+        }
+        if self.duration.is_some_and(|s| !(s.is_finite() && s > 0.0)) {
+            return bad("--duration must be a number of seconds above 0".into());
+        }
+        if self.start_when > self.seats {
+            return bad(format!(
+                "--start-when {} waits for more tools than there are seats ({})",
+                self.start_when, self.seats
+            ));
+        }
+        parse_compensation(&self.compensation, self.delay_cap)
+    }
 }
 
 /// The port when none is given.
 const PORT: u16 = 4433;
 
 /// Reads an address and a port, a port alone (`4433` or `:4433`: all addresses of this machine), or an address alone.
-pub fn parse_listen(text: &str) -> Result<SocketAddr, String> {
+fn parse_listen(text: &str) -> Result<SocketAddr, String> {
     let everywhere = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
     let bare = text
         .strip_prefix('[')
@@ -66,7 +105,7 @@ pub fn parse_listen(text: &str) -> Result<SocketAddr, String> {
 }
 
 /// Reads `adaptive`, `fixed:MS` or `none`.
-pub fn parse_compensation(text: &str, cap_ms: u32) -> Result<CompensationSettings, ServerError> {
+fn parse_compensation(text: &str, cap_ms: u32) -> Result<CompensationSettings, ServerError> {
     let bad = |why: String| Err(ServerError::CommandLine(why));
     if cap_ms > DELAY_MAX_MS {
         return bad(format!(

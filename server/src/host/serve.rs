@@ -182,7 +182,7 @@ impl Session {
         mut joined: mpsc::Receiver<PeerHandle>,
         mut inbox: mpsc::Receiver<PeerInput>,
     ) -> String {
-        let over = over(options.duration_s);
+        let over = over(options.duration);
         tokio::pin!(over);
         loop {
             let due = self.room.poll_timeout() - server_time(self.began);

@@ -7,8 +7,8 @@ use super::models::caps;
 use super::sys::Api;
 use crate::motors::Motors;
 use crate::{
-    Buttons, Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState,
-    HapticDevice, Pose, Rejection, Sample, Wrench, Written,
+    Buttons, Calibration, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice,
+    Pose, Rejection, Sample, Wrench, Written,
 };
 
 /// Ramp time of the force after enabling, µs.
@@ -135,9 +135,7 @@ impl HapticDevice for Dhd {
 
     /// Lets the device find its reference. It moves by itself for some seconds; keep hands off.
     fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
-        if !self.motors.is_open() {
-            return Err(DeviceFault::Closed);
-        }
+        self.motors.check_open()?;
         self.stop()?;
         let done = self.api.initialise();
         // The library's own control leaves the motors on.
@@ -147,14 +145,8 @@ impl HapticDevice for Dhd {
         Ok(self.calibration())
     }
 
-    fn clock(&self) -> ClockOwner {
-        ClockOwner::Ours
-    }
-
     fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
-        if !self.motors.is_open() {
-            return Err(DeviceFault::Closed);
-        }
+        self.motors.check_open()?;
         self.stop()?;
         if on {
             self.knows_place = self.api.is_initialised();
@@ -213,7 +205,7 @@ impl HapticDevice for Dhd {
     }
 
     fn close(&mut self) {
-        if self.motors.is_open() {
+        if self.motors.check_open().is_ok() {
             // A device that missed the first zero may take the second.
             if self.stop().is_err() {
                 let _ = self.stop();

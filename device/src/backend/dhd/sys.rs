@@ -4,13 +4,14 @@
 //! a C `char` there; it is passed as an `int`, which holds it on every machine. After opening, all calls use -1,
 //! the device opened last, because some releases return another number from opening.
 
-use std::ffi::{CStr, c_char, c_int, c_uint};
+use std::ffi::{c_char, c_int, c_uint};
 use std::path::Path;
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::Code;
 use crate::Wrench;
+use crate::backend::library::sys::text;
 use crate::backend::library::{Library, LibraryError, Wanted};
 
 /// The library's names on this system, and how to install it.
@@ -35,6 +36,7 @@ type Bool = unsafe extern "system" fn(c_int) -> bool;
 type Three = unsafe extern "system" fn(*mut f64, *mut f64, *mut f64, c_int) -> c_int;
 
 /// The used functions, and the library that contains them.
+#[derive(Debug)]
 pub(super) struct Api {
     count: unsafe extern "system" fn() -> c_int,
     open: Int,
@@ -59,12 +61,6 @@ pub(super) struct Api {
     stop: unsafe extern "system" fn(bool, c_int) -> c_int,
     // The last field: the fields above point into it.
     _library: Library,
-}
-
-impl std::fmt::Debug for Api {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Api").finish_non_exhaustive()
-    }
 }
 
 impl Api {
@@ -114,7 +110,7 @@ impl Api {
     /// The library's text for its last error.
     pub(super) fn last_words(&self) -> String {
         // SAFETY: takes nothing and returns a text of the library's own, or null.
-        text(unsafe { (self.last_words)() })
+        unsafe { text((self.last_words)()) }
     }
 
     /// Number of plugged-in devices.
@@ -145,7 +141,7 @@ impl Api {
     /// The device's name.
     pub(super) fn name(&self) -> String {
         // SAFETY: takes a number and returns a text of the library's own, or null.
-        text(unsafe { (self.system_name)(LAST) })
+        unsafe { text((self.system_name)(LAST)) }
     }
 
     /// Its serial number, if any. Releases differ in the width of the number; it is written to the beginning.
@@ -244,14 +240,4 @@ impl Api {
         let released = self.checked(unsafe { (self.stop)(false, LAST) });
         done.and(released).map(|_| ())
     }
-}
-
-/// A text of the library's own.
-fn text(words: *const c_char) -> String {
-    if words.is_null() {
-        return String::new();
-    }
-    // SAFETY: not null, and the library's texts end with a zero and are constants of it.
-    let words = unsafe { CStr::from_ptr(words) };
-    words.to_string_lossy().into_owned()
 }

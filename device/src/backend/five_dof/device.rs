@@ -11,8 +11,8 @@ use super::signals::{Drive, Encoder};
 use super::statics::{Torques, torques};
 use crate::motors::Motors;
 use crate::{
-    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice,
-    Pose, Rejection, Sample, Wrench, Written,
+    Calibration, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Pose,
+    Rejection, Sample, Wrench, Written,
 };
 
 /// Tolerance of the distance between the two ends against the probe's length, m. Six readings give five independent
@@ -39,28 +39,16 @@ pub struct Config {
     pub stiffness_n_per_m: f64,
 }
 
-/// Number of wrenches that were rendered only in part.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Counts {
-    /// Torques faded near a singular posture.
-    pub singular: u64,
-    /// Torques reduced by a motor's limit.
-    pub saturated: u64,
-    /// Inconsistent length of the probe.
-    pub untrusted: u64,
-}
-
 /// The 5-DOF device behind its boards.
 #[derive(Debug)]
 pub struct FiveDof<P: Port> {
-    port: P,
+    pub(super) port: P,
     config: Config,
     caps: DeviceCaps,
     middle: Middle,
-    angles: [Angles; 2],
+    pub(super) angles: [Angles; 2],
     rates: [Rate; 6],
     motors: Motors,
-    counts: Counts,
 }
 
 impl<P: Port> FiveDof<P> {
@@ -91,24 +79,8 @@ impl<P: Port> FiveDof<P> {
             middle,
             rates: std::array::from_fn(|_| Rate::new(step)),
             motors: Motors::new(RAMP_US),
-            counts: Counts::default(),
             config,
         })
-    }
-
-    /// Counters of partly rendered wrenches.
-    pub fn counts(&self) -> Counts {
-        self.counts
-    }
-
-    /// The angles of the last reading, rad.
-    pub fn angles(&self) -> &[Angles; 2] {
-        &self.angles
-    }
-
-    /// Its boards.
-    pub fn port(&self) -> &P {
-        &self.port
     }
 
     /// Applies `torques`; sets zero when the boards do not take them.
@@ -126,7 +98,7 @@ impl<P: Port> FiveDof<P> {
 
     /// Motor torques for the wrench at the present posture.
     fn torques(&self, wrench: &Wrench) -> Torques {
-        let limit = self.config.drive.limit_nm();
+        let limit = self.config.drive.limit_nm;
         torques(&self.config.linkage, &self.angles, wrench, limit)
     }
 
@@ -161,9 +133,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
     /// Takes the present posture as the calibration posture: the probe in the middle of the workspace, along y.
     /// Hold it in its rest meanwhile.
     fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
-        if !self.motors.is_open() {
-            return Err(DeviceFault::Closed);
-        }
+        self.motors.check_open()?;
         let (encoder, at) = (self.config.encoder, self.middle.angles);
         let counts = six(|arm, k| encoder.count(at[arm][k]));
         // Codes computed for the old posture would push in another direction.
@@ -174,14 +144,8 @@ impl<P: Port> HapticDevice for FiveDof<P> {
         Ok(self.calibration())
     }
 
-    fn clock(&self) -> ClockOwner {
-        ClockOwner::Ours
-    }
-
     fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
-        if !self.motors.is_open() {
-            return Err(DeviceFault::Closed);
-        }
+        self.motors.check_open()?;
         self.stop()?;
         if on && !self.calibration().is_ready() {
             return Err(DeviceFault::NotCalibrated);
@@ -215,10 +179,9 @@ impl<P: Port> HapticDevice for FiveDof<P> {
         let probe = linkage.probe(&self.angles);
         let mut faults = Faults::NONE;
         // NaN is outside the tolerance.
-        let sound = (probe.length_m - linkage.probe_m()).abs() <= PROBE_TOLERANCE_M;
+        let sound = (probe.length_m - linkage.probe_m).abs() <= PROBE_TOLERANCE_M;
         let homed = self.calibration().is_ready();
         if !(sound && homed) {
-            self.counts.untrusted += u64::from(!sound);
             faults = faults.with(Faults::UNTRUSTED_POSE);
         }
         if !self.caps.workspace.contains(&probe.pivot) {
@@ -268,8 +231,6 @@ impl<P: Port> HapticDevice for FiveDof<P> {
                 return Written::Rejected(rejection(fault));
             }
         };
-        self.counts.singular += u64::from(torques.singular);
-        self.counts.saturated += u64::from(torques.saturated);
         let applied = within.scaled(torques.share);
         self.motors.render_only(applied);
         let left_out = about_itself.abs() > 1e-9;
@@ -285,7 +246,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
     }
 
     fn close(&mut self) {
-        if self.motors.is_open() {
+        if self.motors.check_open().is_ok() {
             // A board that did not take the first zero may take the second; the port closes with zero, too.
             if self.stop().is_err() {
                 let _ = self.stop();

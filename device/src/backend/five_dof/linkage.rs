@@ -44,29 +44,18 @@ fn name(side: Side) -> &'static str {
     }
 }
 
-/// An invalid length of the linkage.
-#[derive(Debug, Clone, PartialEq, Error)]
-#[error("{what} is {mm} mm; it has to be above 0 and at most {LENGTH_MAX_M} m")]
-pub struct BadLength {
-    what: String,
-    mm: f64,
-}
-
-/// Longer than any link of a device on a table, m.
-const LENGTH_MAX_M: f64 = 5.0;
-
 /// The lengths of a device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Linkage {
     /// The left arm and the right one.
-    arms: [Arm; 2],
+    pub arms: [Arm; 2],
     /// Length of the probe between the arms' ends, m.
-    probe_m: f64,
+    pub probe_m: f64,
 }
 
 impl Default for Linkage {
     /// The device of 2007: L0 = 80, L1 = 150, L2 = 180 and a probe of 30 mm. Figure 4.1 gives the left arm an upper
-    /// link of 180 mm, probably by mistake; use [`Linkage::new`] for such a device.
+    /// link of 180 mm, probably by mistake.
     fn default() -> Self {
         let arm = |side| Arm {
             side,
@@ -82,40 +71,6 @@ impl Default for Linkage {
 }
 
 impl Linkage {
-    /// A linkage of arms of L0, L1, L2 (m), left and right, and a probe (m).
-    pub fn new(left: [f64; 3], right: [f64; 3], probe_m: f64) -> Result<Self, BadLength> {
-        let check = |what: String, m: f64| {
-            if m > 0.0 && m <= LENGTH_MAX_M {
-                Ok(m)
-            } else {
-                Err(BadLength { what, mm: m * 1e3 })
-            }
-        };
-        let arm = |side: Side, lengths: [f64; 3]| {
-            let length = |k: usize| check(format!("L{k} of the {} arm", name(side)), lengths[k]);
-            Ok(Arm {
-                side,
-                offset_m: length(0)?,
-                upper_m: length(1)?,
-                lower_m: length(2)?,
-            })
-        };
-        Ok(Self {
-            arms: [arm(Side::Left, left)?, arm(Side::Right, right)?],
-            probe_m: check("the probe".to_owned(), probe_m)?,
-        })
-    }
-
-    /// The left arm and the right one.
-    pub fn arms(&self) -> &[Arm; 2] {
-        &self.arms
-    }
-
-    /// Length of the probe, m.
-    pub fn probe_m(&self) -> f64 {
-        self.probe_m
-    }
-
     /// Where the arms end, m.
     pub fn ends(&self, angles: &[Angles; 2]) -> [Vector3<f64>; 2] {
         [0, 1].map(|a| self.arms[a].end(&angles[a]))

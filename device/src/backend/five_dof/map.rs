@@ -32,8 +32,8 @@ impl Middle {
     /// When an arm can not reach it.
     pub fn of(linkage: &Linkage) -> Result<Self, OutOfReach> {
         // Each end turns in from its own axis; the pivot is in the middle of the two.
-        let [left, right] = linkage.arms();
-        let half = 0.5 * linkage.probe_m();
+        let [left, right] = &linkage.arms;
+        let half = 0.5 * linkage.probe_m;
         let ahead = |arm: &super::Arm| {
             let inwards = arm.offset_m - half;
             (arm.lower_m * arm.lower_m - inwards * inwards)

@@ -26,11 +26,11 @@ mod statics;
 mod tests;
 
 pub use arm::{Angles, Arm, Side};
-pub use device::{Config, Counts, FiveDof, PROBE_TOLERANCE_M};
-pub use linkage::{BadLength, Linkage, OutOfReach, Probe};
+pub use device::{Config, FiveDof, PROBE_TOLERANCE_M};
+pub use linkage::{Linkage, OutOfReach, Probe};
 pub use map::{Middle, TILT_RAD, manipulability};
 pub use port::{Port, PortFault, Six};
-pub use rig::{Rig, RigConfig, Sabotage};
-pub use signals::{BadDrive, BadEncoder, Drive, Encoder};
+pub use rig::{Rig, RigConfig};
+pub use signals::{Drive, Encoder};
 pub use simulated::{Unsuited, invented, simulated};
 pub use statics::{SINGULAR, Torques, end_forces, torques};

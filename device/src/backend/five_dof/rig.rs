@@ -11,9 +11,6 @@
 //! turns the probe. Projection of rates and angles after each sub-step keeps the probe's length without drift.
 //! Inertias, friction and the hand's grip are assumed, not measured.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicI32, Ordering};
-
 use nalgebra::{SMatrix, SVector, Vector3};
 
 use super::arm::Angles;
@@ -61,37 +58,6 @@ impl Default for RigConfig {
     }
 }
 
-/// Injects faults into simulated boards.
-#[derive(Debug, Clone, Default)]
-pub struct Sabotage(Arc<AtomicI32>);
-
-impl Sabotage {
-    const GONE: i32 = -1;
-
-    /// The cable is pulled.
-    pub fn unplug(&self) {
-        self.0.store(Self::GONE, Ordering::Release);
-    }
-
-    /// The boards answer with this error, above 0.
-    pub fn report(&self, error: i32) {
-        self.0.store(error.max(1), Ordering::Release);
-    }
-
-    /// Everything works again.
-    pub fn mend(&self) {
-        self.0.store(0, Ordering::Release);
-    }
-
-    fn check(&self) -> Result<(), PortFault> {
-        match self.0.load(Ordering::Acquire) {
-            0 => Ok(()),
-            Self::GONE => Err(PortFault::Gone),
-            error => Err(PortFault::Board(error)),
-        }
-    }
-}
-
 /// The simulated boards.
 #[derive(Debug)]
 pub struct Rig {
@@ -104,12 +70,12 @@ pub struct Rig {
     start: ScriptStart,
     angles: Vector6,
     rates: Vector6,
-    torque_nm: Vector6,
+    /// Torques that the motors hold now, N·m.
+    pub(super) torque_nm: Vector6,
     /// Offset of the counters from the encoders' true count.
-    offset: Six,
-    homed: bool,
+    pub(super) offset: Six,
+    pub(super) homed: bool,
     integrated_to: Option<DeviceTime>,
-    sabotage: Sabotage,
 }
 
 impl Rig {
@@ -138,7 +104,6 @@ impl Rig {
             offset: [0; 6],
             homed: true,
             integrated_to: None,
-            sabotage: Sabotage::default(),
         };
         let begins = rig.script.pose(0.0).pose;
         let axis = begins.orientation * Vector3::y_axis();
@@ -146,31 +111,7 @@ impl Rig {
         Ok(rig)
     }
 
-    /// The same with counters at zero in any posture, as after power-on.
-    #[must_use]
-    pub fn not_homed(mut self) -> Self {
-        let true_counts = self.true_counts();
-        self.offset = true_counts.map(|c| -c);
-        self.homed = false;
-        self
-    }
-
-    /// The fault injector.
-    pub fn sabotage(&self) -> Sabotage {
-        self.sabotage.clone()
-    }
-
-    /// The true angles, rad.
-    pub fn angles(&self) -> [Angles; 2] {
-        split(&self.angles)
-    }
-
-    /// Torques that the motors hold now, N·m, left and right.
-    pub fn torques(&self) -> [Vector3<f64>; 2] {
-        split(&self.torque_nm)
-    }
-
-    fn true_counts(&self) -> Six {
+    pub(super) fn true_counts(&self) -> Six {
         std::array::from_fn(|j| self.encoder.count(self.angles[j]))
     }
 
@@ -208,9 +149,7 @@ impl Rig {
         let forces = self.hand(at, &angles);
         let mut load = self.torque_nm - self.rates * self.config.friction_nms;
         for a in 0..2 {
-            let by_hand = self.linkage.arms()[a]
-                .jacobian(&angles[a])
-                .tr_mul(&forces[a]);
+            let by_hand = self.linkage.arms[a].jacobian(&angles[a]).tr_mul(&forces[a]);
             for k in 0..3 {
                 load[3 * a + k] += by_hand[k];
             }
@@ -250,9 +189,9 @@ impl Rig {
         let angles = split(q);
         let [left, right] = self.linkage.ends(&angles);
         let across = left - right;
-        let of = |a: usize| self.linkage.arms()[a].jacobian(&angles[a]).tr_mul(&across);
+        let of = |a: usize| self.linkage.arms[a].jacobian(&angles[a]).tr_mul(&across);
         let g = joined(&[of(0) * 2.0, of(1) * -2.0]);
-        let probe = self.linkage.probe_m();
+        let probe = self.linkage.probe_m;
         (g, across.norm_squared() - probe * probe)
     }
 
@@ -277,7 +216,7 @@ fn pivot_jacobian(linkage: &Linkage, q: &Vector6) -> Matrix36 {
     let angles = split(q);
     let mut j = Matrix36::zeros();
     for a in 0..2 {
-        let of = linkage.arms()[a].jacobian(&angles[a]) * 0.5;
+        let of = linkage.arms[a].jacobian(&angles[a]) * 0.5;
         j.fixed_columns_mut::<3>(3 * a).copy_from(&of);
     }
     j
@@ -294,18 +233,12 @@ fn joined(of: &[Vector3<f64>; 2]) -> Vector6 {
 impl Port for Rig {
     fn counts(&mut self, now: DeviceTime) -> Result<Six, PortFault> {
         self.advance(now);
-        self.sabotage.check()?;
         let counts = self.true_counts();
         Ok(std::array::from_fn(|j| counts[j] + self.offset[j]))
     }
 
     fn command(&mut self, now: DeviceTime, codes: Six) -> Result<(), PortFault> {
         self.advance(now);
-        if let Err(fault) = self.sabotage.check() {
-            // Converters without their board output nothing.
-            self.torque_nm = Vector6::zeros();
-            return Err(fault);
-        }
         self.torque_nm = Vector6::from_fn(|j, _| self.drive.torque(codes[j]));
         Ok(())
     }
@@ -323,7 +256,6 @@ impl Port for Rig {
     }
 
     fn home(&mut self, counts: Six) -> Result<(), PortFault> {
-        self.sabotage.check()?;
         let true_counts = self.true_counts();
         self.offset = std::array::from_fn(|j| counts[j] - true_counts[j]);
         self.homed = true;

@@ -56,7 +56,12 @@ pub fn invented() -> Config {
     Config {
         linkage: Linkage::default(),
         encoder: Encoder::default(),
-        drive: Drive::new(0.2, 10.0, 12, 1.5).expect("sound numbers"),
+        drive: Drive {
+            torque_per_volt_nm: 0.2,
+            full_scale_v: 10.0,
+            bits: 12,
+            limit_nm: 1.5,
+        },
         force_n: [8.0, 4.0],
         torque_nm: 0.1,
         stiffness_n_per_m: 1000.0,
@@ -66,7 +71,7 @@ pub fn invented() -> Config {
 /// The simulated device, held by a script of the scene. Its frame makes the tool upright at the first way point and
 /// puts the middle of the script into the middle of the workspace. Later rotation about the probe is lost, as no
 /// motor measures it.
-pub fn simulated(script: &Script, start: ScriptStart) -> Result<Placed<FiveDof<Rig>>, Unsuited> {
+pub fn simulated(script: &Script, start: ScriptStart) -> Result<Placed, Unsuited> {
     let config = invented();
     let middle = Middle::of(&config.linkage)?;
     let upright = script.ways()[0].orientation;
@@ -74,7 +79,8 @@ pub fn simulated(script: &Script, start: ScriptStart) -> Result<Placed<FiveDof<R
     let moved = script.seen_from(&placement)?;
     check(&moved, &middle)?;
     let rig = Rig::new(&config, RigConfig::default(), moved, start)?;
-    Ok(Placed::new(FiveDof::open(rig, config)?, placement))
+    let device = Box::new(FiveDof::open(rig, config)?);
+    Ok(Placed::new(device, placement))
 }
 
 fn check(script: &Script, middle: &Middle) -> Result<(), Unsuited> {
@@ -143,7 +149,9 @@ mod tests {
             WayPoint::new(0.0, Vector3::zeros()),
             WayPoint::new(2.5, Vector3::new(0.3, 0.0, 0.0)),
         ];
-        let error = simulated(&script(far), ScriptStart::not_yet()).unwrap_err();
+        let error = simulated(&script(far), ScriptStart::not_yet())
+            .err()
+            .unwrap();
         assert!(
             matches!(error, Unsuited::TooFar { number: 1, .. }),
             "{error}"
@@ -153,7 +161,9 @@ mod tests {
             WayPoint::new(2.5, Vector3::zeros())
                 .turned(UnitQuaternion::from_euler_angles(0.8, 0.0, 0.0)),
         ];
-        let error = simulated(&script(tilted), ScriptStart::not_yet()).unwrap_err();
+        let error = simulated(&script(tilted), ScriptStart::not_yet())
+            .err()
+            .unwrap();
         let said = error.to_string();
         assert!(
             said.contains("way point 2 (t = 2.5 s) tilts the probe by 46 degrees"),

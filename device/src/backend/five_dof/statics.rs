@@ -29,10 +29,6 @@ pub struct Torques {
     pub nm: [Vector3<f64>; 2],
     /// The rendered fraction of the wrench, 0 to 1.
     pub share: f64,
-    /// Whether they faded near a singular posture.
-    pub singular: bool,
-    /// Whether a motor's limit reduced them.
-    pub saturated: bool,
 }
 
 /// Forces on the left and the right end of the probe, N, equivalent to this wrench about its pivot except for the
@@ -51,17 +47,15 @@ pub fn torques(linkage: &Linkage, angles: &[Angles; 2], wrench: &Wrench, limit_n
     let probe = linkage.probe(angles);
     // Coincident ends define no axis.
     let apart = Probe {
-        length_m: probe.length_m.max(0.1 * linkage.probe_m()),
+        length_m: probe.length_m.max(0.1 * linkage.probe_m),
         ..probe
     };
     let forces = end_forces(&apart, wrench);
-    let of = |a: usize| linkage.arms()[a].jacobian(&angles[a]).tr_mul(&forces[a]);
+    let of = |a: usize| linkage.arms[a].jacobian(&angles[a]).tr_mul(&forces[a]);
     let asked = [of(0), of(1)];
-    let near = linkage.manipulability(angles) / SINGULAR;
-    let fade = near.min(1.0);
+    let fade = (linkage.manipulability(angles) / SINGULAR).min(1.0);
     let most = asked.iter().map(Vector3::amax).fold(0.0, f64::max) * fade;
-    let saturated = most > limit_nm;
-    let share = if saturated {
+    let share = if most > limit_nm {
         fade * limit_nm / most
     } else {
         fade
@@ -69,7 +63,5 @@ pub fn torques(linkage: &Linkage, angles: &[Angles; 2], wrench: &Wrench, limit_n
     Torques {
         nm: asked.map(|t| t * share),
         share,
-        singular: near < 1.0,
-        saturated,
     }
 }

@@ -20,32 +20,26 @@ pub(super) enum Spelling {
 /// A message of the service: all devices with their states, and their descriptions in the first one.
 #[derive(Debug, Deserialize)]
 pub(super) struct Message {
-    #[serde(default)]
     inverse3: Option<Vec<Inverse3>>,
     #[serde(default)]
     wireless_verse_grip: Vec<Grip>,
     #[serde(default)]
     verse_grip: Vec<Grip>,
-    #[serde(default)]
     session_id: Option<Value>,
 }
 
 #[derive(Debug, Deserialize)]
 struct Inverse3 {
     device_id: String,
-    #[serde(default)]
     config: Option<Config>,
-    #[serde(default)]
     state: Option<State>,
-    #[serde(default)]
     status: Option<Status>,
 }
 
 #[derive(Debug, Deserialize)]
 struct Config {
-    #[serde(default, rename = "type")]
+    #[serde(rename = "type")]
     kind: Option<String>,
-    #[serde(default)]
     handedness: Option<String>,
 }
 
@@ -53,7 +47,6 @@ struct Config {
 struct State {
     cursor_position: Option<Xyz>,
     cursor_velocity: Option<Xyz>,
-    #[serde(default)]
     control_mode: Option<Value>,
 }
 
@@ -72,27 +65,22 @@ impl From<Xyz> for Vector3<f64> {
 
 #[derive(Debug, Deserialize)]
 struct Status {
-    #[serde(default)]
     calibrated: Option<bool>,
-    #[serde(default)]
     power_supply: Option<bool>,
 }
 
 #[derive(Debug, Deserialize)]
 struct Grip {
-    #[serde(default)]
     state: Option<GripState>,
 }
 
 #[derive(Debug, Deserialize)]
 struct GripState {
-    #[serde(default)]
     orientation: Option<Turn>,
     /// Of a grip with a cable.
     #[serde(default)]
     button: bool,
     /// Of a wireless one.
-    #[serde(default)]
     buttons: Option<Abc>,
 }
 

@@ -1,5 +1,6 @@
 //! The system's loader.
 
+use std::ffi::{CStr, c_char};
 use std::path::{Path, PathBuf};
 
 use super::LibraryError;
@@ -46,4 +47,18 @@ impl Library {
             how: self.how,
         })
     }
+}
+
+/// A text of a library's own; empty for null.
+///
+/// # Safety
+///
+/// `words` is null, or a constant text of the library that ends with a zero.
+pub(in crate::backend) unsafe fn text(words: *const c_char) -> String {
+    if words.is_null() {
+        return String::new();
+    }
+    // SAFETY: not null, and the caller vouches for the rest.
+    let words = unsafe { CStr::from_ptr(words) };
+    words.to_string_lossy().into_owned()
 }

@@ -181,9 +181,7 @@ impl LoopEnd {
 
     /// Switches the motors.
     pub(in crate::backend) fn enable(&mut self, on: bool) -> Result<(), DeviceFault> {
-        if !self.motors.is_open() {
-            return Err(DeviceFault::Closed);
-        }
+        self.motors.check_open()?;
         self.halt();
         if !on {
             return Ok(());

@@ -180,9 +180,7 @@ impl HapticDevice for OpenHaptics {
 
     /// Lets the library calibrate the device; put the stylus into its inkwell first, where it has one.
     fn calibrate(&mut self) -> Result<Calibration, DeviceFault> {
-        if !self.loop_end.motors().is_open() {
-            return Err(DeviceFault::Closed);
-        }
+        self.loop_end.motors().check_open()?;
         self.loop_end.halt();
         let wish = self.requests.calibrate.fetch_add(1, Ordering::AcqRel) + 1;
         let done = || self.requests.calibrated.load(Ordering::Acquire) == wish;

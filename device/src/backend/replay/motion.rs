@@ -92,7 +92,6 @@ pub enum MotionError {
 #[derive(Deserialize)]
 struct Recording {
     haptic: Vec<Point>,
-    #[serde(default)]
     script_started_us: Option<i64>,
 }
 

@@ -9,15 +9,12 @@ mod tremor;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-use nalgebra::Vector3;
-
 use self::body::Body;
 pub(in crate::backend) use self::tremor::Tremor;
 use crate::motors::Motors;
-use crate::script::POSITION_MAX_M;
 use crate::{
-    Buttons, Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState,
-    HapticDevice, Sample, Script, Workspace, Wrench, Written,
+    Buttons, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Sample, Script,
+    Wrench, Written,
 };
 
 /// Ramp time of the force after enabling, µs. It is short, because the haptic chain has its own soft start; it
@@ -76,24 +73,9 @@ pub struct SimHand {
 
 impl SimHand {
     /// A hand at the first way point of `script`, with the force limits of a desktop device: 20 N peak, 10 N
-    /// continuous, 3000 N/m, 1 kHz. Its workspace is the range of a script.
+    /// continuous.
     pub fn new(script: Script, start: ScriptStart) -> Self {
-        let half = Vector3::repeat(POSITION_MAX_M);
-        let caps = DeviceCaps {
-            name: "simulated hand".to_owned(),
-            dof_in: 6,
-            dof_out: 3,
-            workspace: Workspace {
-                min: -half,
-                max: half,
-            },
-            max_force_n: 20.0,
-            continuous_force_n: 10.0,
-            max_torque_nm: 0.0,
-            max_stiffness_n_per_m: 3000.0,
-            rate_hz: 1000.0,
-        };
-        Self::with_caps(script, start, caps)
+        Self::with_caps(script, start, DeviceCaps::simulated("simulated hand"))
     }
 
     /// The same hand with other limits.
@@ -126,14 +108,6 @@ impl SimHand {
 impl HapticDevice for SimHand {
     fn caps(&self) -> &DeviceCaps {
         &self.caps
-    }
-
-    fn calibration(&self) -> Calibration {
-        Calibration::NotNeeded
-    }
-
-    fn clock(&self) -> ClockOwner {
-        ClockOwner::Ours
     }
 
     fn enable_forces(&mut self, on: bool) -> Result<(), DeviceFault> {
@@ -174,11 +148,7 @@ impl HapticDevice for SimHand {
         if self.motors.advance_to(now).is_ok() {
             self.advance();
         }
-        match self.motors.take(now, wrench, &self.caps) {
-            Ok((_, false)) => Written::Applied,
-            Ok((applied, true)) => Written::Saturated { applied },
-            Err(why) => Written::Rejected(why),
-        }
+        self.motors.write(now, wrench, &self.caps)
     }
 
     fn rendered(&self) -> Wrench {

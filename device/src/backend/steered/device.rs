@@ -9,8 +9,8 @@ use super::driver::{Driver, Hint};
 use super::rumble::Shaker;
 use super::{BadRate, RateControl, Rumble, Source, Steering};
 use crate::{
-    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice,
-    Pose, Rejection, Sample, Workspace, Wrench, Written,
+    DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Pose, Rejection, Sample,
+    Workspace, Wrench, Written,
 };
 
 /// Workspace and initial pose of a tool.
@@ -107,17 +107,7 @@ impl Steered {
         let driver = Driver::spawn(source, publisher, hint.clone())
             .map_err(|e| OpenError::Thread(e.to_string()))?;
         Ok(Self {
-            caps: DeviceCaps {
-                name: kind.name,
-                dof_in: kind.dof_in,
-                dof_out: 0,
-                workspace: space.workspace,
-                max_force_n: 0.0,
-                continuous_force_n: 0.0,
-                max_torque_nm: 0.0,
-                max_stiffness_n_per_m: 0.0,
-                rate_hz: 1000.0,
-            },
+            caps: DeviceCaps::without_motors(kind.name, kind.dof_in, space.workspace),
             steering,
             silence_max_us: kind.silence_max_us,
             shaker: kind.rumble.map(Shaker::new),
@@ -141,14 +131,6 @@ impl Steered {
 impl HapticDevice for Steered {
     fn caps(&self) -> &DeviceCaps {
         &self.caps
-    }
-
-    fn calibration(&self) -> Calibration {
-        Calibration::NotNeeded
-    }
-
-    fn clock(&self) -> ClockOwner {
-        ClockOwner::Ours
     }
 
     fn enable_forces(&mut self, _on: bool) -> Result<(), DeviceFault> {

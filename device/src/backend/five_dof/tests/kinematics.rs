@@ -25,7 +25,21 @@ fn linkage(rng: &mut Pcg64Mcg) -> Linkage {
         ]
     };
     let (left, right) = (lengths(), lengths());
-    Linkage::new(left, right, rng.random_range(0.02..0.06)).unwrap()
+    of(left, right, rng.random_range(0.02..0.06))
+}
+
+/// A linkage of arms of L0, L1, L2 (m), left and right, and a probe (m).
+fn of(left: [f64; 3], right: [f64; 3], probe_m: f64) -> Linkage {
+    let arm = |side, [offset_m, upper_m, lower_m]: [f64; 3]| Arm {
+        side,
+        offset_m,
+        upper_m,
+        lower_m,
+    };
+    Linkage {
+        arms: [arm(Side::Left, left), arm(Side::Right, right)],
+        probe_m,
+    }
 }
 
 /// A posture that the arm works in, not close to a singular one.
@@ -40,7 +54,7 @@ fn angles(rng: &mut Pcg64Mcg, arm: &Arm) -> Angles {
 }
 
 fn posture(rng: &mut Pcg64Mcg, linkage: &Linkage) -> [Angles; 2] {
-    [0, 1].map(|a| angles(rng, &linkage.arms()[a]))
+    [0, 1].map(|a| angles(rng, &linkage.arms[a]))
 }
 
 #[test]
@@ -48,7 +62,7 @@ fn the_jacobian_equals_finite_differences() {
     let mut rng = Pcg64Mcg::seed_from_u64(1);
     for _ in 0..POSES {
         let linkage = linkage(&mut rng);
-        for arm in linkage.arms() {
+        for arm in &linkage.arms {
             let q = vector(&mut rng, 3.0);
             let exact = arm.jacobian(&q);
             for k in 0..3 {
@@ -78,14 +92,14 @@ fn motor_work_equals_probe_work() {
         };
         let found = torques(&linkage, &q, &wrench, f64::INFINITY);
         let probe = linkage.probe(&q);
-        if found.singular || probe.length_m < 0.5 * linkage.probe_m() {
+        if found.share < 1.0 || probe.length_m < 0.5 * linkage.probe_m {
             continue;
         }
         // Rates under which the probe keeps its length, as a rigid one does.
         let rates = [vector(&mut rng, 1.0), vector(&mut rng, 1.0)];
         let (velocity, turning) = linkage.velocity(&q, &rates);
         let stretch = {
-            let of = |a: usize| linkage.arms()[a].jacobian(&q[a]) * rates[a];
+            let of = |a: usize| linkage.arms[a].jacobian(&q[a]) * rates[a];
             (of(0) - of(1)).dot(&probe.axis)
         };
         let by_motors: f64 = (0..2).map(|a| found.nm[a].dot(&rates[a])).sum();
@@ -131,7 +145,7 @@ fn inverse_kinematics_inverts_forward_kinematics() {
     let mut rng = Pcg64Mcg::seed_from_u64(4);
     for _ in 0..POSES {
         let linkage = linkage(&mut rng);
-        for arm in linkage.arms() {
+        for arm in &linkage.arms {
             let q = angles(&mut rng, arm);
             let back = arm.angles(&arm.end(&q)).unwrap();
             let wrong = (back - q).amax();
@@ -157,7 +171,7 @@ fn the_probe_reaches_the_requested_pose() {
         let probe = linkage.probe(&q);
         assert!((probe.pivot - at).norm() < 1e-13);
         assert!((probe.axis.into_inner() - axis.into_inner()).norm() < 1e-11);
-        assert!((probe.length_m - linkage.probe_m()).abs() < 1e-13);
+        assert!((probe.length_m - linkage.probe_m).abs() < 1e-13);
         let turned = probe.orientation() * Vector3::y();
         assert!((turned - axis.into_inner()).norm() < 1e-11);
     }
@@ -166,7 +180,7 @@ fn the_probe_reaches_the_requested_pose() {
 #[test]
 fn each_arm_has_its_own_lengths() {
     // Figure 4.1 as it is printed: the left upper link is longer.
-    let printed = Linkage::new([0.08, 0.18, 0.18], [0.08, 0.15, 0.18], 0.03).unwrap();
+    let printed = of([0.08, 0.18, 0.18], [0.08, 0.15, 0.18], 0.03);
     let q = Vector3::new(0.1, 0.2, 0.3);
     let [left, right] = printed.ends(&[q, q]);
     let written_out = |s: f64, l1: f64| {
@@ -179,19 +193,7 @@ fn each_arm_has_its_own_lengths() {
     };
     assert!((left - written_out(1.0, 0.18)).norm() < 1e-15);
     assert!((right - written_out(-1.0, 0.15)).norm() < 1e-15);
-    assert_eq!(printed.arms().map(|a| a.side), Side::BOTH);
-}
-
-#[test]
-fn an_invalid_length_is_rejected_by_name() {
-    for (bad, named) in [
-        ([0.08, -0.1, 0.18], "L1 of the right arm is -100 mm"),
-        ([0.08, 0.15, f64::NAN], "L2 of the right arm"),
-        ([150.0, 0.15, 0.18], "L0 of the right arm is 150000 mm"),
-    ] {
-        let error = Linkage::new([0.08, 0.15, 0.18], bad, 0.03).unwrap_err();
-        assert!(error.to_string().contains(named), "{error}");
-    }
+    assert_eq!(printed.arms.map(|a| a.side), Side::BOTH);
 }
 
 #[test]
@@ -224,15 +226,16 @@ fn torques_fade_near_singular_postures_and_stay_within_the_limit() {
         let found = torques(&linkage, &q, &wrench, 1.5);
         let most = found.nm[0].amax().max(found.nm[1].amax());
         assert!(most <= 1.5 * (1.0 + 1e-12), "{most} N·m");
-        assert_eq!(found.singular, linkage.manipulability(&q) < SINGULAR);
-        singular += usize::from(found.singular);
+        let is_singular = linkage.manipulability(&q) < SINGULAR;
+        assert!(!is_singular || found.share < 1.0);
+        singular += usize::from(is_singular);
     }
     assert!(singular > 100, "{singular}");
     // Links in line: no force at all, and said so.
     let q = Vector3::new(-0.3, std::f64::consts::FRAC_PI_2, 0.0);
     let push = Wrench::from_force(Vector3::x());
     let found = torques(&linkage, &[q, q], &push, 1.5);
-    assert!(found.singular && found.share < 1e-12, "{found:?}");
+    assert!(found.share < 1e-12, "{found:?}");
 }
 
 #[test]
