@@ -108,10 +108,8 @@ pub fn client_messages() -> Vec<Example<ClientMessage>> {
         example("Hello", ClientMessage::Hello(hello(None))),
         example("Hello again", ClientMessage::Hello(hello(Some(resume)))),
         example("Cut", request(1, RequestKind::Cut(cut))),
-        example("SetTool", request(2, RequestKind::SetTool(PLATE))),
-        example("Leave", request(3, RequestKind::Leave)),
-        example("ReportDelay", request(4, RequestKind::ReportDelay(DELAY))),
-        example("TopologyReport", request(5, topology)),
+        example("Leave", request(2, RequestKind::Leave)),
+        example("TopologyReport", request(3, topology)),
     ]
 }
 

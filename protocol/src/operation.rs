@@ -62,7 +62,7 @@ pub enum OperationKind {
         /// The participant's number.
         participant: ParticipantId,
     },
-    /// A participant changed the tool.
+    /// A restarted client resumed the seat with another tool.
     ToolChanged {
         /// The participant's number.
         participant: ParticipantId,

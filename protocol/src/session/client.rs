@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 
 use crate::clock::{ClockEstimate, ClockMap};
 use crate::codec::{self, FrameDecoder};
-use crate::compensation::{DelayEstimator, DelayRule, DelaySchedule, MotionArrival, REPORT_OLD};
+use crate::compensation::{DelayEstimator, DelaySchedule, MotionArrival, REPORT_OLD};
 use crate::datagram::{Body, Header};
 use crate::handshake::{
     Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused, Welcome,
@@ -20,8 +20,7 @@ use crate::session::motion_batch::MotionBatch;
 use crate::session::outbox::Outbox;
 use crate::session::preamble::PreambleReader;
 use crate::session::{
-    ClientEvent, CloseReason, Deadband, EVENTS_MAX, HANDSHAKE_TIMEOUT, Link, LinkStats,
-    SERVER_SILENCE,
+    ClientEvent, CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, Link, LinkStats, SERVER_SILENCE,
 };
 use crate::{
     ClientTime, LocalSample, OperationId, ParticipantId, ProtocolError, RequestId, ServerTime,
@@ -118,7 +117,7 @@ impl ClientSession {
             outbox,
             link: Link::default(),
             clock: ClockEstimate::new(),
-            delay: DelayEstimator::new(DelayRule::default()),
+            delay: DelayEstimator::default(),
             motion: MotionBatch::default(),
             events: VecDeque::new(),
             last_request: 0,
@@ -272,7 +271,7 @@ impl ClientSession {
                 joined.newest_shown.retain(|(p, _)| p != participant);
                 // The last delay estimate is void: no other participant's motion arrives.
                 if joined.newest_shown.is_empty() {
-                    self.delay = DelayEstimator::new(DelayRule::default());
+                    self.delay = DelayEstimator::default();
                 }
             }
             _ => {}
@@ -369,8 +368,7 @@ impl ClientSession {
             joined.news_at = now;
         }
         if let Some(motion) = oldest {
-            let in_force = joined.schedule.delay_at(motion.arrived);
-            self.delay.handle_arrival(motion, in_force);
+            self.delay.handle_arrival(motion);
             if self.delay.take_urgent() {
                 self.report_due = now;
             }
@@ -439,12 +437,6 @@ impl ClientSession {
         if !self.motion.push(sample) {
             self.link.count_refused_samples(1);
         }
-    }
-
-    /// Omits motion that receivers predict to within a deadband; `None`, the initial setting, sends all
-    /// of it.
-    pub fn set_deadband(&mut self, deadband: Option<Deadband>) {
-        self.motion.set_deadband(deadband);
     }
 
     /// Sends a request; the answer is an operation, or [`ClientEvent::RequestRefused`].

@@ -196,9 +196,9 @@ impl Timeline {
         Some(shown)
     }
 
-    /// The pose that a site with these samples and no correction in progress displays; `None` before the
-    /// first sample.
-    pub fn foresee(&self, t: ServerTime) -> Option<Pose> {
+    /// The pose from the samples alone, without the correction in progress; `None` before the first
+    /// sample.
+    pub fn uncorrected_pose(&self, t: ServerTime) -> Option<Pose> {
         self.raw(t).map(|shown| shown.pose)
     }
 

@@ -1,7 +1,7 @@
 //! One seat of the session.
 
 use nalgebra::{Quaternion, UnitQuaternion};
-use palpate_protocol::compensation::{DelayEstimator, DelayRule, Demotion};
+use palpate_protocol::compensation::{DelayEstimator, Demotion};
 use palpate_protocol::handshake::{RosterEntry, Subscription};
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::timeline::Timeline;
@@ -82,7 +82,7 @@ impl Participant {
             subscription: Subscription::Full,
             timeline: Timeline::default(),
             requests: RequestHistory::default(),
-            delay: DelayEstimator::new(DelayRule::default()),
+            delay: DelayEstimator::default(),
             report: None,
             down_us: 0,
             demotion: Demotion::new(cap),
@@ -128,7 +128,7 @@ impl Participant {
     /// connection.
     pub(crate) fn lose(&mut self, at: ServerTime) {
         self.lift(at);
-        self.delay = DelayEstimator::new(DelayRule::default());
+        self.delay = DelayEstimator::default();
         self.report = None;
     }
 

@@ -2,9 +2,11 @@
 
 use palpate_protocol::ParticipantId;
 use palpate_protocol::compensation::{DEMOTE_AFTER, RESTORE_AFTER};
+use palpate_protocol::operation::CutStroke;
 use palpate_protocol::request::DelayReport;
 
 use super::*;
+use crate::{LoggedCut, TissueReport};
 
 const CAP_MS: i64 = 400;
 
@@ -147,19 +149,14 @@ fn participant_beyond_the_cap_is_demoted_and_no_longer_raises_the_delay() {
         .handle_event(PeerKey(3), pressing_at(8000, 8004, ms(9001)), ms(9001));
     s.room.handle_tick(ms(9020), &mut || true);
     assert!(!motion(&mut s.room), "its motion is not relayed");
-    for kind in [
-        stroke(),
-        RequestKind::SetTool(ToolDescription::probe(0.003)),
-    ] {
-        let id = RequestId(1);
-        let request = PeerEvent::Request(Request { id, kind });
-        s.room.handle_event(PeerKey(3), request, ms(9021));
-    }
+    let request = Request {
+        id: RequestId(1),
+        kind: stroke(),
+    };
+    s.room
+        .handle_event(PeerKey(3), PeerEvent::Request(request), ms(9021));
     s.run_until(9100);
-    assert_eq!(
-        s.refusals,
-        [RequestRefusal::Demoted, RequestRefusal::Demoted]
-    );
+    assert_eq!(s.refusals, [RequestRefusal::Demoted]);
     (s.movers[2].up_ms, s.movers[2].down_ms) = (30, 30);
     let recovered = s.now_ms;
     s.run_until(recovered + RESTORE_AFTER.as_micros() / 1000 - 500);
@@ -218,15 +215,27 @@ fn full_log_takes_no_demotion_but_restores_demoted_participants() {
     let mut s = Session::of(&[(30, 30), (30, 30), (500, 500)]);
     s.run_until(6000);
     assert_eq!(s.lifted(), [ParticipantId(3)]);
-    // This test has no rate limit; the session machine applies it.
-    for id in 1..=16_100 {
-        let request = Request {
-            id: RequestId(id),
-            kind: RequestKind::SetTool(ToolDescription::scalpel(0.008, 0.02)),
+    while s.room.operation_count() < 16_000 {
+        let cut = TissueReport::Cut {
+            author: ParticipantId(1),
+            request: RequestId(1),
+            result: Ok(LoggedCut {
+                stroke: CutStroke {
+                    points: Vec::new(),
+                    width_m: 0.0,
+                },
+                version: 1,
+                hash: TopologyHash(1),
+            }),
         };
-        s.room
-            .handle_event(PeerKey(1), PeerEvent::Request(request), ms(6000));
+        s.room.handle_report(cut, ms(6000));
     }
+    let request = Request {
+        id: RequestId(2),
+        kind: stroke(),
+    };
+    s.room
+        .handle_event(PeerKey(1), PeerEvent::Request(request), ms(6000));
     s.run_until(6100);
     assert_eq!(s.refusals.last(), Some(&RequestRefusal::LogFull));
     assert_eq!(s.room.operation_count(), 16_000);
