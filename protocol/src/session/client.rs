@@ -517,14 +517,6 @@ impl ClientSession {
         }
     }
 
-    /// D over time, for another thread to keep a copy of; `None` before the welcome.
-    pub fn delay_schedule(&self) -> Option<&DelaySchedule> {
-        match &self.state {
-            State::Joined(joined) => Some(&joined.schedule),
-            _ => None,
-        }
-    }
-
     /// The client's participant number, once welcomed.
     pub fn participant(&self) -> Option<ParticipantId> {
         match &self.state {
