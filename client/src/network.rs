@@ -279,7 +279,7 @@ pub(crate) async fn join(
     let connection = connect(link).await?;
     let mut session = ClientSession::new(hello, monotonic_now())?;
     if let Some(delay) = delay {
-        session.go_on_with(delay);
+        session.resume_schedule(delay);
     }
     let mut handle = spawn_client(connection, session, monotonic_now);
     loop {

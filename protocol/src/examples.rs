@@ -182,8 +182,14 @@ fn operations() -> Vec<Example<OperationKind>> {
         example("operation Cut", OperationKind::Cut(stroke)),
         example("operation Joined", joined),
         example("operation Left", left),
-        example("operation Away", OperationKind::Away { participant: who }),
-        example("operation Back", OperationKind::Back { participant: who }),
+        example(
+            "operation Disconnected",
+            OperationKind::Disconnected { participant: who },
+        ),
+        example(
+            "operation Reconnected",
+            OperationKind::Reconnected { participant: who },
+        ),
         example("operation ToolChanged", changed),
         example("operation Started", OperationKind::Started { at: ms(9000) }),
         example("operation Compensation", compensation),

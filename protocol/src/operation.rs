@@ -53,12 +53,12 @@ pub enum OperationKind {
         reason: LeaveReason,
     },
     /// A participant's connection was lost: the tool no longer presses, the seat is kept.
-    Away {
+    Disconnected {
         /// The participant's number.
         participant: ParticipantId,
     },
     /// A participant whose connection was lost has resumed the seat.
-    Back {
+    Reconnected {
         /// The participant's number.
         participant: ParticipantId,
     },

@@ -129,7 +129,7 @@ fn request(kind: RequestKind) -> Vec<u8> {
 
 fn peer_in(state: &str) -> ServerPeer {
     let mut peer = ServerPeer::new(ServerTime::ZERO);
-    let stages = ["Preamble", "Hello", "Asked", "Joined", "Closed"];
+    let stages = ["Preamble", "Hello", "AwaitsRoom", "Joined", "Closed"];
     let stage = stages.iter().position(|s| *s == state).unwrap();
     if stage >= 1 {
         peer.handle_stream(&Preamble::OURS.to_bytes(), ServerTime::ZERO);

@@ -26,7 +26,7 @@ const DELAYS_MAX: usize = 8_000;
 const OPERATIONS_MAX: usize = 16_000;
 
 /// Limit for joins and resumptions. The transport lets 20,000 operations wait for a peer.
-const GREETED_MAX: usize = 18_000;
+const JOINS_MAX: usize = 18_000;
 
 /// Bytes of a peer's backlog reserved beyond cuts: two thousand of the longest operations without stroke (a name of
 /// 64 B and a tool) take half of it.
@@ -78,7 +78,7 @@ impl Log {
 
     /// Whether a join or a resumption fits.
     pub(crate) fn takes_seat(&self) -> bool {
-        self.len() < GREETED_MAX && self.takes_bytes(BYTES_LEFT_FOR_ENDS)
+        self.len() < JOINS_MAX && self.takes_bytes(BYTES_LEFT_FOR_ENDS)
     }
 
     /// Whether the longest operation leaves `left` bytes of a peer's backlog.
@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn delay_changes_are_rejected_first_then_cuts_then_joins() {
-        let back = operation(OperationKind::Back {
+        let back = operation(OperationKind::Reconnected {
             participant: ParticipantId(1),
         });
         let mut log = Log::default();
@@ -140,6 +140,6 @@ mod tests {
             }
             log.push(Arc::clone(&back));
         }
-        assert_eq!(ends, [DELAYS_MAX, OPERATIONS_MAX, GREETED_MAX]);
+        assert_eq!(ends, [DELAYS_MAX, OPERATIONS_MAX, JOINS_MAX]);
     }
 }

@@ -67,9 +67,9 @@ pub struct Room {
     settled: Option<i64>,
     next_tick: ServerTime,
     next_correction: ServerTime,
-    next_judgement: ServerTime,
+    next_demotion_decision: ServerTime,
     /// Delay reports before this time do not count for the group.
-    heard_from: ServerTime,
+    reports_count_from: ServerTime,
     cuts: u64,
     demotions: u64,
     repetitions: u64,
@@ -98,8 +98,8 @@ impl Room {
             settled: None,
             next_tick: now,
             next_correction: now,
-            next_judgement: now,
-            heard_from: now,
+            next_demotion_decision: now,
+            reports_count_from: now,
             cuts: 0,
             demotions: 0,
             repetitions: 0,
@@ -315,8 +315,8 @@ impl Room {
         while self.next_tick <= now {
             self.next_tick = self.next_tick + period;
         }
-        self.give_up_kept(now);
-        self.judge(now);
+        self.remove_expired_seats(now);
+        self.decide_demotions(now);
         self.change_delay(now);
         let hz = i64::from(self.config.tick_hz.max(1));
         let grid = (self.schedule.shown_at(now).as_micros() * hz).div_euclid(1_000_000);
@@ -338,13 +338,13 @@ impl Room {
         if wants_corrections {
             self.next_correction = now + CORRECTION_PERIOD;
         }
-        let is_anybody_thin = self.peers_with(Subscription::Thin).next().is_some();
+        let has_thin_subscriber = self.peers_with(Subscription::Thin).next().is_some();
         self.is_settling = true;
         self.orders.push_back(TissueOrder::Settle(Settling {
             view_time,
             tools,
             wants_corrections,
-            wants_picture: is_anybody_thin.then_some(now),
+            wants_picture: has_thin_subscriber.then_some(now),
         }));
     }
 

@@ -366,7 +366,7 @@ fn pressing_tool_is_relayed_deforms_tissue_and_leaves_with_its_owner() {
     let left = operations(&drain(&mut room), PeerKey(2));
     assert!(matches!(
         left[..],
-        [ref o] if matches!(o.kind, OperationKind::Away { .. })
+        [ref o] if matches!(o.kind, OperationKind::Disconnected { .. })
     ));
     let mut tools = 1;
     for step in 0..20 {

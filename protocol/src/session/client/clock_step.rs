@@ -10,20 +10,20 @@ use crate::session::ClientEvent;
 use crate::{ClientTime, Span};
 
 /// Due times farther ahead than this mean that the clock was set back; they become due at once.
-fn pulled(due: ClientTime, period: Span, now: ClientTime) -> ClientTime {
+fn not_beyond(due: ClientTime, period: Span, now: ClientTime) -> ClientTime {
     if due - now > period { now } else { due }
 }
 
 impl ClientSession {
     /// Pulls back due times after a clock was set back. Every call with a time begins with it.
     pub(super) fn follow_clock(&mut self, now: ClientTime) {
-        self.probe_due = pulled(self.probe_due, PROBE_PERIOD, now);
-        self.report_due = pulled(self.report_due, DELAY_REPORT_PERIOD, now);
+        self.probe_due = not_beyond(self.probe_due, PROBE_PERIOD, now);
+        self.report_due = not_beyond(self.report_due, DELAY_REPORT_PERIOD, now);
         // The last arrival is not in the future.
-        self.heard = self.heard.min(now);
+        self.last_received = self.last_received.min(now);
         self.started = self.started.min(now);
         if let State::Joined(joined) = &mut self.state {
-            joined.news_at = joined.news_at.min(now);
+            joined.last_motion_at = joined.last_motion_at.min(now);
         }
     }
 

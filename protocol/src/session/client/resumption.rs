@@ -8,13 +8,13 @@ impl ClientSession {
     /// Continues with the earlier schedule of D, if the log continues too. A welcome contains only the
     /// current D. A pending change from before the lost connection is not sent again, and D would stay
     /// halfway until the next one.
-    pub fn go_on_with(&mut self, schedule: DelaySchedule) {
-        self.known_delay = Some(schedule);
+    pub fn resume_schedule(&mut self, schedule: DelaySchedule) {
+        self.resumed_schedule = Some(schedule);
     }
 
     /// D over time from a welcome on.
     pub(super) fn schedule_after(&mut self, welcome: &Welcome) -> DelaySchedule {
-        let known = self.known_delay.take();
+        let known = self.resumed_schedule.take();
         known
             .filter(|_| welcome.first_operation.0 > 0)
             .unwrap_or_else(|| DelaySchedule::new(&welcome.compensation))
@@ -37,7 +37,7 @@ mod tests {
         known.handle_change(300_000, at(1000));
         for (first, in_the_end_ms) in [(3, 300), (0, 150)] {
             let mut client = returning(3);
-            client.go_on_with(known.clone());
+            client.resume_schedule(known.clone());
             let frame = ServerMessage::Welcome(Box::new(welcome(first, 3)));
             client.handle_stream(&Preamble::OURS.to_bytes(), ClientTime::ZERO);
             client.handle_stream(&codec::encode_frame(&frame).unwrap(), ClientTime::ZERO);
