@@ -404,6 +404,11 @@ impl Room {
         self.outputs.pop_front()
     }
 
+    /// The participant of a connection, once admitted.
+    pub fn participant_of(&self, peer: PeerKey) -> Option<ParticipantId> {
+        self.by_peer.get(&peer).copied()
+    }
+
     /// Number of participants, including kept seats.
     pub fn participant_count(&self) -> usize {
         self.participants.len()
