@@ -14,6 +14,7 @@ use palpate_transport::{
     ClientCommand, ClientHandle, DriverStats, TransportError, connect, fetch_model, spawn_client,
 };
 use tokio::sync::{mpsc as async_mpsc, watch};
+use tracing::Instrument as _;
 
 use crate::ClientError;
 use crate::inbox::Inbox;
@@ -94,12 +95,21 @@ impl Network {
         let ended = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&ended);
         let thread = threads::spawn(ThreadClass::Network, "network", move || {
-            runtime.block_on(async {
+            let (host, port) = (&joining.link.host, joining.link.port);
+            let session = tracing::error_span!("session", host, port);
+            let participant = tracing::error_span!(
+                parent: &session,
+                "participant",
+                name = joining.hello.name,
+                id = tracing::field::Empty,
+            );
+            let network = async {
                 if joining.catch_signals {
                     tokio::spawn(watch_signals(Arc::clone(&joining.stop)));
                 }
                 live(joining, progress, &sender).await;
-            });
+            };
+            runtime.block_on(network.instrument(participant));
             ends.store(true, Ordering::Release);
         })?;
         let opened = report.recv().unwrap_or_else(|_| {
@@ -167,6 +177,7 @@ async fn live(
             return drop(sender.send(Err(error)));
         }
     };
+    tracing::Span::current().record("id", welcome.participant.0);
     let inbox = Arc::new(Inbox::default());
     let _last_word = LastWord(Arc::clone(&inbox));
     let (commands, command_receiver) = async_mpsc::channel(COMMANDS_MAX);
@@ -279,7 +290,7 @@ pub(crate) async fn join(
     let connection = connect(link).await?;
     let mut session = ClientSession::new(hello, monotonic_now())?;
     if let Some(delay) = delay {
-        session.go_on_with(delay);
+        session.resume_schedule(delay);
     }
     let mut handle = spawn_client(connection, session, monotonic_now);
     loop {

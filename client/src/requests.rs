@@ -1,7 +1,7 @@
 //! Unanswered requests, kept so that none is lost with a connection.
 //!
 //! Requests of a seat are numbered across its connections. Unanswered requests are sent again with their old number,
-//! and the server executes each number once. A cut or a change of tool is answered by its operation in the log or by
+//! and the server executes each number once. A cut is answered by its operation in the log or by
 //! a refusal, in request order.
 
 use std::collections::VecDeque;
@@ -83,18 +83,9 @@ impl Requests {
             return;
         }
         self.unseen = operation.id.next();
-        let answers = |kind: &RequestKind| {
-            matches!(
-                (&operation.kind, kind),
-                (OperationKind::Cut(_), RequestKind::Cut(_))
-                    | (OperationKind::ToolChanged { .. }, RequestKind::SetTool(_))
-            )
-        };
-        if operation.author != self.me {
-            return;
-        }
-        if let Some(i) = self.open.iter().position(|r| answers(&r.kind)) {
-            self.open.remove(i);
+        if operation.author == self.me && matches!(operation.kind, OperationKind::Cut(_)) {
+            // Only cuts are open, and the server answers them in order.
+            self.open.pop_front();
         }
     }
 
@@ -113,7 +104,7 @@ impl Requests {
 
 /// Whether the user would notice its loss; reports are repeated anyway.
 pub(crate) fn is_felt(kind: &RequestKind) -> bool {
-    matches!(kind, RequestKind::Cut(_) | RequestKind::SetTool(_))
+    matches!(kind, RequestKind::Cut(_))
 }
 
 #[cfg(test)]

@@ -192,7 +192,7 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
                     topology_version_before: seat.topology_version,
                     topology_version_after: seat.topology_version,
                     hash_after: seat.topology_hash,
-                    kind: OperationKind::Back { participant: ME },
+                    kind: OperationKind::Reconnected { participant: ME },
                 })));
             }
             PeerEvent::Hello(hello) => {

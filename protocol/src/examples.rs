@@ -108,10 +108,8 @@ pub fn client_messages() -> Vec<Example<ClientMessage>> {
         example("Hello", ClientMessage::Hello(hello(None))),
         example("Hello again", ClientMessage::Hello(hello(Some(resume)))),
         example("Cut", request(1, RequestKind::Cut(cut))),
-        example("SetTool", request(2, RequestKind::SetTool(PLATE))),
-        example("Leave", request(3, RequestKind::Leave)),
-        example("ReportDelay", request(4, RequestKind::ReportDelay(DELAY))),
-        example("TopologyReport", request(5, topology)),
+        example("Leave", request(2, RequestKind::Leave)),
+        example("TopologyReport", request(3, topology)),
     ]
 }
 
@@ -184,8 +182,14 @@ fn operations() -> Vec<Example<OperationKind>> {
         example("operation Cut", OperationKind::Cut(stroke)),
         example("operation Joined", joined),
         example("operation Left", left),
-        example("operation Away", OperationKind::Away { participant: who }),
-        example("operation Back", OperationKind::Back { participant: who }),
+        example(
+            "operation Disconnected",
+            OperationKind::Disconnected { participant: who },
+        ),
+        example(
+            "operation Reconnected",
+            OperationKind::Reconnected { participant: who },
+        ),
         example("operation ToolChanged", changed),
         example("operation Started", OperationKind::Started { at: ms(9000) }),
         example("operation Compensation", compensation),

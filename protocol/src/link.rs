@@ -12,6 +12,7 @@ use std::str::FromStr;
 
 use data_encoding::HEXLOWER_PERMISSIVE;
 use serde::{Deserialize, Serialize};
+use subtle::ConstantTimeEq as _;
 
 use crate::Role;
 
@@ -43,7 +44,7 @@ impl Grant {
 
     /// Compares in constant time, independent of the first difference.
     pub fn matches(&self, other: &Self) -> bool {
-        is_equal(&self.0, &other.0)
+        self.0.ct_eq(&other.0).into()
     }
 }
 
@@ -58,7 +59,7 @@ pub struct ResumeToken(pub [u8; TOKEN_BYTES]);
 impl ResumeToken {
     /// Compares in constant time, independent of the first difference.
     pub fn matches(&self, other: &Self) -> bool {
-        is_equal(&self.0, &other.0)
+        self.0.ct_eq(&other.0).into()
     }
 }
 
@@ -67,11 +68,6 @@ impl fmt::Debug for ResumeToken {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("ResumeToken(..)")
     }
-}
-
-/// Whether two secrets are equal, in constant time.
-fn is_equal<const N: usize>(a: &[u8; N], b: &[u8; N]) -> bool {
-    a.iter().zip(b).fold(0, |acc, (a, b)| acc | (a ^ b)) == 0
 }
 
 impl fmt::Debug for Grant {

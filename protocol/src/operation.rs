@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::handshake::Role;
 use crate::tool::ToolDescription;
-use crate::{OperationId, ParticipantId, ServerTime, Span, TopologyHash};
+use crate::{OperationId, ParticipantId, ServerTime, TopologyHash};
 
 /// The most blade points in one stroke. 512 points of 56 B stay below half of the largest frame. The
 /// server refuses a longer stroke; the client cuts it in pieces.
@@ -53,16 +53,16 @@ pub enum OperationKind {
         reason: LeaveReason,
     },
     /// A participant's connection was lost: the tool no longer presses, the seat is kept.
-    Away {
+    Disconnected {
         /// The participant's number.
         participant: ParticipantId,
     },
     /// A participant whose connection was lost has resumed the seat.
-    Back {
+    Reconnected {
         /// The participant's number.
         participant: ParticipantId,
     },
-    /// A participant changed the tool.
+    /// A restarted client resumed the seat with another tool.
     ToolChanged {
         /// The participant's number.
         participant: ParticipantId,
@@ -179,11 +179,4 @@ pub struct CompensationSettings {
     pub mode: CompensationMode,
     /// The delay that the session began with, microseconds; later changes are operations.
     pub initial_delay_us: u32,
-}
-
-impl CompensationSettings {
-    /// The delay that the session began with.
-    pub fn initial_delay(&self) -> Span {
-        Span::from_micros(i64::from(self.initial_delay_us))
-    }
 }

@@ -4,7 +4,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::handshake::{Hello, Refused, Welcome};
 use crate::operation::{BladePoint, Operation, STROKE_MAX_POINTS};
-use crate::tool::ToolDescription;
 use crate::{RequestId, ServerTime, TopologyHash};
 
 /// The messages of a client on the operations stream after the preamble.
@@ -49,12 +48,8 @@ pub struct Request {
 pub enum RequestKind {
     /// Cut along a stroke.
     Cut(CutRequest),
-    /// Change the tool.
-    SetTool(ToolDescription),
     /// Leave the session.
     Leave,
-    /// The client's delay estimate.
-    ReportDelay(DelayReport),
     /// The topology that this client has, for the server to compare.
     TopologyReport {
         /// How many topology changes it applied.
@@ -69,8 +64,7 @@ impl RequestKind {
     pub fn is_valid(&self) -> bool {
         match self {
             Self::Cut(cut) => cut.is_valid(),
-            Self::SetTool(tool) => tool.is_valid(),
-            Self::Leave | Self::ReportDelay(_) | Self::TopologyReport { .. } => true,
+            Self::Leave | Self::TopologyReport { .. } => true,
         }
     }
 }

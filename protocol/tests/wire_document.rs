@@ -153,13 +153,11 @@ fn every_client_message_and_request_is_in_the_document() {
         ClientMessage::Hello(_) => None,
         ClientMessage::Request(r) => Some(match r.kind {
             RequestKind::Cut(_) => (0, "Cut"),
-            RequestKind::SetTool(_) => (1, "SetTool"),
-            RequestKind::Leave => (2, "Leave"),
-            RequestKind::ReportDelay(_) => (3, "ReportDelay"),
-            RequestKind::TopologyReport { .. } => (4, "TopologyReport"),
+            RequestKind::Leave => (1, "Leave"),
+            RequestKind::TopologyReport { .. } => (2, "TopologyReport"),
         }),
     };
-    assert_rows(messages.iter().filter_map(request), 5);
+    assert_rows(messages.iter().filter_map(request), 3);
 }
 
 #[test]
@@ -178,8 +176,8 @@ fn every_server_message_and_operation_is_in_the_document() {
             OperationKind::Cut(_) => (0, "Cut"),
             OperationKind::Joined { .. } => (1, "Joined"),
             OperationKind::Left { .. } => (2, "Left"),
-            OperationKind::Away { .. } => (3, "Away"),
-            OperationKind::Back { .. } => (4, "Back"),
+            OperationKind::Disconnected { .. } => (3, "Disconnected"),
+            OperationKind::Reconnected { .. } => (4, "Reconnected"),
             OperationKind::ToolChanged { .. } => (5, "ToolChanged"),
             OperationKind::Started { .. } => (6, "Started"),
             OperationKind::Compensation { .. } => (7, "Compensation"),

@@ -97,7 +97,7 @@ pub struct Tick {
 ///
 /// In every tick call exactly one of [`tick`](Self::tick) and, after a failed read,
 /// [`tick_without_sample`](Self::tick_without_sample), then write the wrench. Report a different rendered wrench
-/// with [`goes_on_from`](Self::goes_on_from) or [`cut_to`](Self::cut_to).
+/// with [`continue_from`](Self::continue_from) or [`restart_from`](Self::restart_from).
 ///
 /// Times should not run backwards. If one does, the chain's own time advances by one period and ages are kept: a
 /// clock that was set back keeps no old force alive.
@@ -221,7 +221,7 @@ impl Chain {
 
     /// The device renders `wrench` instead of the last output, because it clamped or lost part of it. Slew limit
     /// and work accounting continue from `wrench`, so no step follows when the device recovers.
-    pub fn goes_on_from(&mut self, wrench: &Wrench) {
+    pub fn continue_from(&mut self, wrench: &Wrench) {
         let limits = [self.force_limit_n, self.torque_limit_nm()];
         let [force, torque] = [(wrench.force, limits[0]), (wrench.torque, limits[1])]
             .map(|(of, limit)| clamp_force(of, limit).0);
@@ -235,10 +235,10 @@ impl Chain {
     }
 
     /// The device reduced its force by itself to `rest`: it rejected a wrench, its motors are off, or its own
-    /// watchdog acted. As [`goes_on_from`](Self::goes_on_from), and the force returns over the soft start, as after
+    /// watchdog acted. As [`continue_from`](Self::continue_from), and the force returns over the soft start, as after
     /// every fault.
-    pub fn cut_to(&mut self, rest: &Wrench) {
-        self.goes_on_from(rest);
+    pub fn restart_from(&mut self, rest: &Wrench) {
+        self.continue_from(rest);
         self.soft_start.lower_to(0.0);
     }
 

@@ -36,7 +36,7 @@ const SWEEPS_MAX: usize = 200;
 
 /// Stiffness with which the force of a contact point follows the hand between two solves, N/m.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Slope {
+pub(crate) struct Slope {
     /// Along the normal.
     pub along: f64,
     /// Across it, the tie of friction.
@@ -45,7 +45,7 @@ pub struct Slope {
 
 /// Limits slopes to what device and hand can follow.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Coupling {
+pub(crate) struct Coupling {
     cap: StiffnessCap,
     /// ℓ, m.
     grip_m: f64,
@@ -53,17 +53,17 @@ pub struct Coupling {
 
 impl Coupling {
     /// For a device that renders forces only.
-    pub fn of_forces(cap: StiffnessCap) -> Self {
+    pub(crate) fn of_forces(cap: StiffnessCap) -> Self {
         Self::of_wrenches(cap, f64::INFINITY)
     }
 
     /// For a device that renders torques, too, held at `grip_m` (ℓ, above zero) from its pivot.
-    pub fn of_wrenches(cap: StiffnessCap, grip_m: f64) -> Self {
+    pub(crate) fn of_wrenches(cap: StiffnessCap, grip_m: f64) -> Self {
         Self { cap, grip_m }
     }
 
     /// The slopes of all contact points of `model`, zero for inactive ones. Neither allocates nor waits.
-    pub fn slopes(&self, model: &ContactModel) -> [Slope; CONTACTS_MAX] {
+    pub(crate) fn slopes(&self, model: &ContactModel) -> [Slope; CONTACTS_MAX] {
         let mut slopes = [Slope::default(); CONTACTS_MAX];
         for (slope, touch) in slopes.iter_mut().zip(&model.touches) {
             if touch.touches {
@@ -79,11 +79,6 @@ impl Coupling {
             slope.across *= share;
         }
         slopes
-    }
-
-    /// Upper bound of the largest eigenvalue of K in the metric of the grip with these slopes, N/m.
-    pub fn stiffness_bound(&self, model: &ContactModel, slopes: &[Slope; CONTACTS_MAX]) -> f64 {
-        self.slope_stiffness(model, slopes) + self.geometric_stiffness(model)
     }
 
     /// The factor that brings the slopes within the cap, 0 to 1.
@@ -295,7 +290,8 @@ mod tests {
         fn no_motion_is_stiffer_than_the_cap(model in models()) {
             for coupling in couplings() {
                 let slopes = coupling.slopes(&model);
-                prop_assert!(coupling.stiffness_bound(&model, &slopes) <= 1000.0 * (1.0 + 1e-6)
+                let bound = coupling.slope_stiffness(&model, &slopes) + coupling.geometric_stiffness(&model);
+                prop_assert!(bound <= 1000.0 * (1.0 + 1e-6)
                     || slopes.iter().all(|s| s.along == 0.0));
             }
             let slopes = couplings()[1].slopes(&model);

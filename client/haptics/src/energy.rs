@@ -29,7 +29,7 @@ pub(crate) fn work(wrench: &Wrench, from: &Pose, to: &Pose) -> f64 {
 
 /// Sums the energy that the hand puts in.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct EnergyObserver {
+pub(crate) struct EnergyObserver {
     energy_j: f64,
     min_j: f64,
     last: Option<(Pose, Wrench)>,
@@ -37,7 +37,7 @@ pub struct EnergyObserver {
 
 impl EnergyObserver {
     /// The tool is at `pose`, and `wrench` acts on it until the next call.
-    pub fn observe(&mut self, pose: Pose, wrench: Wrench) {
+    pub(crate) fn observe(&mut self, pose: Pose, wrench: Wrench) {
         if let Some((before, held)) = &self.last {
             self.energy_j -= work(held, before, &pose);
             self.min_j = self.min_j.min(self.energy_j);
@@ -46,24 +46,19 @@ impl EnergyObserver {
     }
 
     /// Replaces the wrench of the last call by the rendered one.
-    pub fn correct(&mut self, wrench: Wrench) {
+    pub(crate) fn correct(&mut self, wrench: Wrench) {
         if let Some((_, last)) = &mut self.last {
             *last = wrench;
         }
     }
 
     /// The path is broken (a bad sample); the sum continues from the next call.
-    pub fn interrupt(&mut self) {
+    pub(crate) fn interrupt(&mut self) {
         self.last = None;
     }
 
-    /// Energy put in so far, J.
-    pub fn energy_j(&self) -> f64 {
-        self.energy_j
-    }
-
     /// The smallest it has been, J.
-    pub fn min_j(&self) -> f64 {
+    pub(crate) fn min_j(&self) -> f64 {
         self.min_j
     }
 }
@@ -83,8 +78,8 @@ mod tests {
             let x = Vector3::new(f64::from(x) * 1e-3, 0.0, 0.0);
             e.observe(Pose::at(x), Wrench::from_force(x * -1000.0));
         }
-        assert!((e.energy_j() + 0.5 * 1000.0 * 20.0 * 1e-6).abs() < 1e-12);
-        assert!(e.min_j() <= e.energy_j());
+        assert!((e.energy_j + 0.5 * 1000.0 * 20.0 * 1e-6).abs() < 1e-12);
+        assert!(e.min_j() <= e.energy_j);
     }
 
     #[test]
@@ -105,10 +100,6 @@ mod tests {
             };
             e.observe(pose, wrench);
         }
-        assert!(
-            (e.energy_j() - 0.3 * 0.5).abs() < 1e-12,
-            "{} J",
-            e.energy_j()
-        );
+        assert!((e.energy_j - 0.3 * 0.5).abs() < 1e-12, "{} J", e.energy_j);
     }
 }

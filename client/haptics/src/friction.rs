@@ -56,7 +56,7 @@ impl Default for FrictionConfig {
 
 /// Input of the friction stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Contact {
+pub(crate) struct Contact {
     /// Unit normal, out of the tissue.
     pub normal: Vector3<f64>,
     /// Normal force, summed over all sides (N), N, never negative.
@@ -73,7 +73,7 @@ pub struct Contact {
 
 /// Contact state of the tool.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Grip {
+pub(crate) enum Grip {
     /// No contact.
     Free,
     /// Stick.
@@ -84,7 +84,7 @@ pub enum Grip {
 
 /// State of the stick-slip model.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Friction {
+pub(crate) struct Friction {
     config: FrictionConfig,
     grip: Grip,
     /// e, m.
@@ -98,7 +98,7 @@ pub struct Friction {
 
 impl Friction {
     /// Not in contact.
-    pub fn new(config: FrictionConfig) -> Self {
+    pub(crate) fn new(config: FrictionConfig) -> Self {
         Self {
             config,
             grip: Grip::Free,
@@ -110,18 +110,18 @@ impl Friction {
     }
 
     /// The contact state.
-    pub fn grip(&self) -> Grip {
+    pub(crate) fn grip(&self) -> Grip {
         self.grip
     }
 
     /// Resets to no contact: the next contact starts without stretch. For broken paths (a bad sample).
-    pub fn reset(&mut self) {
+    pub(crate) fn reset(&mut self) {
         *self = Self::new(self.config);
     }
 
     /// One tick, `dt` after the last: the contact point has moved by `moved` (m) and moves with `v` (m/s). Returns
     /// the tangential force on the tool, N.
-    pub fn tick(
+    pub(crate) fn tick(
         &mut self,
         contact: &Contact,
         moved: &Vector3<f64>,

@@ -37,15 +37,17 @@ mod soft_start;
 mod touch;
 mod watchdog;
 
-pub use blend::BLEND_MAX;
 pub use chain::{Chain, ChainConfig, Tick};
 pub use contact::{CONTACTS_MAX, ContactModel};
-pub use coupling::{Coupling, Slope};
-pub use energy::EnergyObserver;
 pub use events::{Counters, Events};
-pub use friction::{Contact, Friction, FrictionConfig, Grip};
-pub use limits::{Slew, StiffnessCap, WrenchSlew, clamp_force};
-pub use passivity::{ControllerOutput, Passivity, ToolState};
-pub use soft_start::SoftStart;
+pub use friction::FrictionConfig;
 pub use touch::{MINDLIN, Touch};
-pub use watchdog::{LinkGuard, Watchdog, WatchdogConfig};
+pub use watchdog::WatchdogConfig;
+
+pub(crate) use coupling::Coupling;
+pub(crate) use energy::EnergyObserver;
+pub(crate) use friction::{Contact, Friction, Grip};
+pub(crate) use limits::{Slew, StiffnessCap, WrenchSlew, clamp_force};
+pub(crate) use passivity::Passivity;
+pub(crate) use soft_start::SoftStart;
+pub(crate) use watchdog::{LinkGuard, Watchdog};

@@ -10,12 +10,12 @@ use palpate_protocol::Span;
 /// Schenkel 1997). A stiffer contact keeps its solved force but follows the hand with this slope between two
 /// solves.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct StiffnessCap(f64);
+pub(crate) struct StiffnessCap(f64);
 
 impl StiffnessCap {
     /// The smaller of the device's limit and 2 b / T, with `damping_ns_per_m` = b. A device without motors has no
     /// limit of its own, so only 2 b / T applies.
-    pub fn new(caps: &DeviceCaps, damping_ns_per_m: f64, period: Span) -> Self {
+    pub(crate) fn new(caps: &DeviceCaps, damping_ns_per_m: f64, period: Span) -> Self {
         let stable = 2.0 * damping_ns_per_m / period.as_secs_f64();
         Self(if caps.dof_out == 0 {
             stable
@@ -25,18 +25,18 @@ impl StiffnessCap {
     }
 
     /// The cap, N/m.
-    pub fn n_per_m(self) -> f64 {
+    pub(crate) fn n_per_m(self) -> f64 {
         self.0
     }
 
     /// `stiffness` (N/m), capped.
-    pub fn apply(self, stiffness: f64) -> f64 {
+    pub(crate) fn apply(self, stiffness: f64) -> f64 {
         stiffness.clamp(0.0, self.0)
     }
 }
 
 /// `force` (or a torque) shortened to `limit`, in the same unit, and whether it was longer. The direction is kept.
-pub fn clamp_force(force: Vector3<f64>, limit: f64) -> (Vector3<f64>, bool) {
+pub(crate) fn clamp_force(force: Vector3<f64>, limit: f64) -> (Vector3<f64>, bool) {
     let n = force.norm();
     if n > limit {
         (force * (limit / n), true)
@@ -47,14 +47,14 @@ pub fn clamp_force(force: Vector3<f64>, limit: f64) -> (Vector3<f64>, bool) {
 
 /// Changes a force, or a torque, by no more than a fixed step per tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Slew {
+pub(crate) struct Slew {
     step: f64,
     now: Vector3<f64>,
 }
 
 impl Slew {
     /// From zero, at most `step` newtons (newton metres for a torque) per tick.
-    pub fn new(step: f64) -> Self {
+    pub(crate) fn new(step: f64) -> Self {
         Self {
             step,
             now: Vector3::zeros(),
@@ -62,31 +62,31 @@ impl Slew {
     }
 
     /// The step, N or N·m per tick.
-    pub fn step(&self) -> f64 {
+    pub(crate) fn step(&self) -> f64 {
         self.step
     }
 
     /// The output of the last tick, N or N·m.
-    pub fn now(&self) -> Vector3<f64> {
+    pub(crate) fn now(&self) -> Vector3<f64> {
         self.now
     }
 
     /// Replaces the state by the rendered value `now` (N or N·m); the next step starts there. A non-finite value
     /// counts as zero.
-    pub fn begin_at(&mut self, now: Vector3<f64>) {
+    pub(crate) fn begin_at(&mut self, now: Vector3<f64>) {
         let is_finite = now.iter().all(|c| c.is_finite());
         self.now = if is_finite { now } else { Vector3::zeros() };
     }
 
     /// The next output towards `target` without a state change, N or N·m.
-    pub fn peek(&self, target: Vector3<f64>) -> Vector3<f64> {
+    pub(crate) fn peek(&self, target: Vector3<f64>) -> Vector3<f64> {
         let mut ahead = *self;
         ahead.towards(target).0
     }
 
     /// Steps towards `target`; returns the output and whether the step was limited. A non-finite target counts as
     /// zero, because this is the last stage before the hand.
-    pub fn towards(&mut self, target: Vector3<f64>) -> (Vector3<f64>, bool) {
+    pub(crate) fn towards(&mut self, target: Vector3<f64>) -> (Vector3<f64>, bool) {
         let is_finite = target.iter().all(|c| c.is_finite());
         let target = if is_finite { target } else { Vector3::zeros() };
         let (step, limited) = clamp_force(target - self.now, self.step);
@@ -97,7 +97,7 @@ impl Slew {
 
 /// The last stage: limits the change of force and torque per tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WrenchSlew {
+pub(crate) struct WrenchSlew {
     /// Of the force.
     pub force: Slew,
     /// Of the torque.
@@ -106,7 +106,7 @@ pub struct WrenchSlew {
 
 impl WrenchSlew {
     /// The output of the last tick.
-    pub fn now(&self) -> Wrench {
+    pub(crate) fn now(&self) -> Wrench {
         Wrench {
             force: self.force.now(),
             torque: self.torque.now(),
@@ -114,13 +114,13 @@ impl WrenchSlew {
     }
 
     /// Replaces the state by the rendered `wrench`; the next steps start there. Non-finite parts count as zero.
-    pub fn begin_at(&mut self, wrench: &Wrench) {
+    pub(crate) fn begin_at(&mut self, wrench: &Wrench) {
         self.force.begin_at(wrench.force);
         self.torque.begin_at(wrench.torque);
     }
 
     /// The next output towards `target` without a state change.
-    pub fn peek(&self, target: &Wrench) -> Wrench {
+    pub(crate) fn peek(&self, target: &Wrench) -> Wrench {
         Wrench {
             force: self.force.peek(target.force),
             torque: self.torque.peek(target.torque),
@@ -128,7 +128,7 @@ impl WrenchSlew {
     }
 
     /// Steps towards `target`; returns the output, and whether the force and the torque were limited.
-    pub fn towards(&mut self, target: &Wrench) -> (Wrench, [bool; 2]) {
+    pub(crate) fn towards(&mut self, target: &Wrench) -> (Wrench, [bool; 2]) {
         let (force, forced) = self.force.towards(target.force);
         let (torque, turned) = self.torque.towards(target.torque);
         (Wrench { force, torque }, [forced, turned])

@@ -74,7 +74,7 @@ const BISECTIONS: usize = 20;
 
 /// State of a tool at the beginning of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ToolState {
+pub(crate) struct ToolState {
     /// Position and orientation.
     pub pose: Pose,
     /// Velocity, m/s.
@@ -91,7 +91,7 @@ pub struct ToolState {
 
 /// Output to a tool in a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ControllerOutput {
+pub(crate) struct ControllerOutput {
     /// Position and orientation.
     pub pose: Pose,
     /// The wrench that acts until the next tick.
@@ -105,7 +105,7 @@ pub struct ControllerOutput {
 
 /// Reduces a force that would give the hand more work than it has put in.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Passivity {
+pub(crate) struct Passivity {
     period_s: f64,
     /// δ, N per tick.
     step_n: f64,
@@ -131,7 +131,7 @@ pub struct Passivity {
 
 impl Passivity {
     /// A controller in front of a slew limit of `step_n` newtons and `step_nm` newton metres per tick of `period`.
-    pub fn new(step_n: f64, step_nm: f64, period: Span) -> Self {
+    pub(crate) fn new(step_n: f64, step_nm: f64, period: Span) -> Self {
         Self {
             period_s: period.as_secs_f64(),
             step_n,
@@ -148,24 +148,25 @@ impl Passivity {
     }
 
     /// Net work that the hand has put in, J.
-    pub fn stored_j(&self) -> f64 {
+    #[cfg(test)]
+    pub(crate) fn stored_j(&self) -> f64 {
         self.tank_j
     }
 
     /// The path is broken (a bad sample): stored energy stays, and the work since is unknown.
-    pub fn interrupt(&mut self) {
+    pub(crate) fn interrupt(&mut self) {
         self.last = None;
         self.speeds = None;
     }
 
     /// Reports the net work of the other participants on the tissue since they joined, J.
-    pub fn set_others_work(&mut self, others_j: f64) {
+    pub(crate) fn set_others_work(&mut self, others_j: f64) {
         let before = self.others_j.replace(others_j).unwrap_or(others_j);
         self.others_tank_j = (self.others_tank_j + others_j - before).max(0.0);
     }
 
     /// Accounts for the motion of the tool since the last tick.
-    pub fn observe(&mut self, seen: &ToolState) {
+    pub(crate) fn observe(&mut self, seen: &ToolState) {
         let there = &seen.there;
         let room = RESERVE_J + there.force.norm() * DEPTH_M + there.torque.norm() * TURN_RAD;
         self.capacity_j = room.max(self.capacity_j * self.decay(DECAY_S));
@@ -215,7 +216,7 @@ impl Passivity {
 
     /// Reduces `target` for a `slew` limit and a tool that moves with `v` (m/s) and turns with `w` (rad/s); returns
     /// whether it was reduced. Its line of action is kept.
-    pub fn limit(
+    pub(crate) fn limit(
         &self,
         slew: &WrenchSlew,
         target: &Wrench,
@@ -318,7 +319,7 @@ impl Passivity {
 
     /// Replaces the output of the last tick by the rendered `force` (N) and, for a device with torque, `torque`
     /// (N·m): the device has clamped or removed it.
-    pub fn correct(&mut self, force: Vector3<f64>, torque: Option<Vector3<f64>>) {
+    pub(crate) fn correct(&mut self, force: Vector3<f64>, torque: Option<Vector3<f64>>) {
         if let Some(last) = &mut self.last {
             last.wrench.force = force;
             last.wrench.torque = torque.unwrap_or(last.wrench.torque);
@@ -326,7 +327,7 @@ impl Passivity {
     }
 
     /// Records the output that acts until the next tick.
-    pub fn record(&mut self, given: ControllerOutput) {
+    pub(crate) fn record(&mut self, given: ControllerOutput) {
         if !given.touches {
             // Debts decay too: a hand off the tissue owes it nothing for long.
             self.tank_j *= self.decay(DECAY_S);

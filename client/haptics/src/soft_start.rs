@@ -5,30 +5,30 @@ use palpate_protocol::Span;
 
 /// A gain that rises from 0 to 1 in a fixed time.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SoftStart {
+pub(crate) struct SoftStart {
     rise: Span,
     gain: f64,
 }
 
 impl SoftStart {
     /// From zero to one in `rise`.
-    pub fn new(rise: Span) -> Self {
+    pub(crate) fn new(rise: Span) -> Self {
         Self { rise, gain: 0.0 }
     }
 
     /// The gain after `dt` more.
-    pub fn advance(&mut self, dt: Span) -> f64 {
+    pub(crate) fn advance(&mut self, dt: Span) -> f64 {
         self.gain = (self.gain + dt.as_secs_f64() / self.rise.as_secs_f64()).min(1.0);
         self.gain
     }
 
     /// Lowers the gain to `gain`, if it is higher.
-    pub fn lower_to(&mut self, gain: f64) {
+    pub(crate) fn lower_to(&mut self, gain: f64) {
         self.gain = self.gain.min(gain.max(0.0));
     }
 
     /// The present gain.
-    pub fn gain(&self) -> f64 {
+    pub(crate) fn gain(&self) -> f64 {
         self.gain
     }
 }

@@ -87,11 +87,6 @@ impl Touch {
         }
     }
 
-    /// The linear law at the displacement `d` (m) and velocity `v` (m/s), N, neither one-sided nor with friction.
-    pub fn linear_force(&self, d: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
-        self.f0 - self.stiffness * d - self.damping * v
-    }
-
     /// Normal force that cancels in f0 between two sides (s), N. It persists while the contact point is active, and
     /// only friction uses it.
     pub fn squeeze_n(&self) -> f64 {
@@ -134,12 +129,6 @@ mod tests {
     fn pressed() -> Touch {
         let stiffness = Matrix3::from_diagonal(&Vector3::new(100.0, 120.0, 400.0));
         Touch::at_pivot(Vector3::new(0.0, 0.0, 2.0), stiffness, Vector3::z())
-    }
-
-    #[test]
-    fn deeper_contact_raises_the_outward_force() {
-        let deeper = pressed().linear_force(&Vector3::new(0.0, 0.0, -0.001), &Vector3::zeros());
-        assert!((deeper.z - 2.4).abs() < 1e-12);
     }
 
     #[test]

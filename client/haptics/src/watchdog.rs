@@ -39,7 +39,7 @@ const FUTURE_MAX: Span = Span::from_millis(10);
 
 /// Fades the force of a contact model that is old or whose radius the tool has left.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Watchdog {
+pub(crate) struct Watchdog {
     config: WatchdogConfig,
     /// The age at which the gain is zero.
     gain_zero_at: Span,
@@ -57,7 +57,7 @@ pub(crate) struct Watched {
 
 impl Watchdog {
     /// A watchdog in front of a slew limit that empties the largest force in `flush`.
-    pub fn new(config: WatchdogConfig, flush: Span) -> Self {
+    pub(crate) fn new(config: WatchdogConfig, flush: Span) -> Self {
         let gain_zero_at = (config.stale_zero - flush).max(config.stale_from);
         Self {
             config,
@@ -113,14 +113,14 @@ impl Watchdog {
 
 /// Fades all force while the link to the session is lost.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LinkGuard {
+pub(crate) struct LinkGuard {
     fade: Span,
     lost_at: Option<ClientTime>,
 }
 
 impl LinkGuard {
     /// A guard in front of a slew limit that empties the largest force in `flush`.
-    pub fn new(config: &WatchdogConfig, flush: Span) -> Self {
+    pub(crate) fn new(config: &WatchdogConfig, flush: Span) -> Self {
         Self {
             fade: (config.link_zero - flush).max(Span::ZERO),
             lost_at: None,
@@ -128,24 +128,24 @@ impl LinkGuard {
     }
 
     /// The link was lost at `now`; a second loss does not restart the fade.
-    pub fn lose(&mut self, now: ClientTime) {
+    pub(crate) fn lose(&mut self, now: ClientTime) {
         self.lost_at.get_or_insert(now);
     }
 
     /// The link is back; returns the gain at `now`.
-    pub fn restore(&mut self, now: ClientTime) -> f64 {
+    pub(crate) fn restore(&mut self, now: ClientTime) -> f64 {
         let gain = self.gain(now);
         self.lost_at = None;
         gain
     }
 
     /// Whether the link is lost.
-    pub fn is_lost(&self) -> bool {
+    pub(crate) fn is_lost(&self) -> bool {
         self.lost_at.is_some()
     }
 
     /// The gain at `now`.
-    pub fn gain(&self, now: ClientTime) -> f64 {
+    pub(crate) fn gain(&self, now: ClientTime) -> f64 {
         self.lost_at.map_or(1.0, |at| {
             let since = (now - at).as_secs_f64();
             (1.0 - since / self.fade.as_secs_f64().max(1e-9)).clamp(0.0, 1.0)

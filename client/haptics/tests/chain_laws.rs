@@ -344,7 +344,7 @@ fn the_next_step_begins_at_the_rendered_wrench() {
     for there in [0.0, 2.5] {
         let (mut chain, t0) = holding(8.0);
         let rendered = Wrench::from_force(Vector3::new(0.0, 0.0, there));
-        chain.goes_on_from(&rendered);
+        chain.continue_from(&rendered);
         let tick = chain.tick(ms(t0), &at_rest, &pressed(ms(t0), 8.0));
         let z = tick.wrench.force.z;
         assert!(
@@ -353,7 +353,7 @@ fn the_next_step_begins_at_the_rendered_wrench() {
         );
         // After a cut, the force returns over the soft start as well.
         let (mut chain, t0) = holding(8.0);
-        chain.cut_to(&rendered);
+        chain.restart_from(&rendered);
         let mut last = 0.0;
         for t in t0..t0 + 500 {
             last = chain
@@ -365,7 +365,7 @@ fn the_next_step_begins_at_the_rendered_wrench() {
         assert!((last - 4.0).abs() < 0.1, "half way: {last} N");
     }
     let (mut chain, _) = holding(8.0);
-    chain.goes_on_from(&Wrench::from_force(Vector3::repeat(f64::NAN)));
+    chain.continue_from(&Wrench::from_force(Vector3::repeat(f64::NAN)));
     let tick = chain.tick_without_sample(ms(2000));
     assert_eq!(
         tick.wrench,

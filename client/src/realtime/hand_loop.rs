@@ -157,7 +157,7 @@ impl HandLoop {
         self.notice_cut();
         let (tick, good) = match reading {
             Ok(sample) if self.forces_are_off() => {
-                self.chain.cut_to(&Wrench::ZERO);
+                self.chain.restart_from(&Wrench::ZERO);
                 self.enable_again(at);
                 // The chain checks this sample and renders no force for it.
                 let faults = sample.faults.with(Faults::UNTRUSTED_POSE);
@@ -224,9 +224,9 @@ impl HandLoop {
         let lost_nm = self.stands.torque.norm() - there.torque.norm();
         if lost > self.chain.slew_step_n() {
             self.counts.cuts += 1;
-            self.chain.cut_to(&there);
+            self.chain.restart_from(&there);
         } else if lost > SAME_N || lost_nm > SAME_N {
-            self.chain.goes_on_from(&there);
+            self.chain.continue_from(&there);
         }
     }
 
@@ -237,7 +237,7 @@ impl HandLoop {
     /// The soft start waits while a driver ramps up its forces: both ramps together would exceed the slew-rate limit.
     fn wait_for_ramp(&mut self) {
         if self.device.force_state() == ForceState::Ramping {
-            self.chain.cut_to(&self.device.rendered());
+            self.chain.restart_from(&self.device.rendered());
         }
     }
 
@@ -251,11 +251,11 @@ impl HandLoop {
             Written::Applied => {}
             Written::Saturated { applied } => {
                 self.counts.saturated += 1;
-                self.chain.goes_on_from(&applied);
+                self.chain.continue_from(&applied);
             }
             Written::Rejected(why) => {
                 self.counts.rejected += u64::from(why != Rejection::ForcesOff);
-                self.chain.cut_to(&Wrench::ZERO);
+                self.chain.restart_from(&Wrench::ZERO);
             }
         }
         self.stands = self.device.rendered();

@@ -77,14 +77,14 @@ impl Site {
                 self.roster.leave(*participant);
                 "left"
             }
-            OperationKind::Away { participant } => {
+            OperationKind::Disconnected { participant } => {
                 if *participant != self.me {
                     self.roster.lose(*participant);
                     self.notice_of(*participant, "lost the connection; the seat is kept");
                 }
                 "away"
             }
-            OperationKind::Back { participant } => {
+            OperationKind::Reconnected { participant } => {
                 if *participant != self.me {
                     self.notice_of(*participant, "is back");
                 }

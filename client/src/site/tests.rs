@@ -292,7 +292,7 @@ fn resync_restores_replica_after_different_cut() {
     // Further events of the old connection do not affect the new replica.
     tell(
         &mut site,
-        operation(1, 5130, OperationKind::Back { participant: OTHER }),
+        operation(1, 5130, OperationKind::Reconnected { participant: OTHER }),
         130,
     );
     assert!(site.view_step(ms(140), budget()).is_none());
@@ -349,7 +349,7 @@ fn log_gap_after_reconnect_causes_resync() {
     let mut site = site(0);
     tell(
         &mut site,
-        operation(0, 5010, OperationKind::Back { participant: OTHER }),
+        operation(0, 5010, OperationKind::Reconnected { participant: OTHER }),
         20,
     );
     let further = Welcome {

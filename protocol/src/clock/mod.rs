@@ -140,20 +140,20 @@ impl ClockEstimate {
     /// Takes an answer that arrived now. Returns `None` until the clock is locked, and for an answer
     /// that does not match a probe.
     pub fn handle_reply(&mut self, reply: Reply, now: ClientTime) -> Option<ClockMap> {
-        let up_and_down = (now - reply.client_sent).as_micros();
+        let elapsed_us = (now - reply.client_sent).as_micros();
         let at_server = (reply.server_sent - reply.server_received).as_micros();
-        let rtt_us = up_and_down.saturating_sub(at_server);
+        let rtt_us = elapsed_us.saturating_sub(at_server);
         let known = reply.id <= self.last_probe;
         if !known || at_server < 0 {
             return None;
         }
-        if reply.client_sent > now || rtt_us < 0 || up_and_down > WINDOW.as_micros() {
+        if reply.client_sent > now || rtt_us < 0 || elapsed_us > WINDOW.as_micros() {
             // The client's clock was set while the probe was under way, or the answer is very late: the
             // answer measures nothing.
             return None;
         }
         let measurement = Measurement {
-            at: reply.client_sent + Span::from_micros(up_and_down / 2),
+            at: reply.client_sent + Span::from_micros(elapsed_us / 2),
             rtt_us,
             above_us: (reply.server_received.as_micros())
                 .saturating_sub(reply.client_sent.as_micros()),

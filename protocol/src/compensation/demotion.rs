@@ -67,23 +67,23 @@ impl Demotion {
             self.since = None;
         }
         self.last = Some(now);
-        let way_back_us = (self.cap.as_micros() as f64 * RESTORE_SHARE) as i64;
-        let asks = if self.demoted {
-            wanted.as_micros() <= way_back_us
+        let restore_at_us = (self.cap.as_micros() as f64 * RESTORE_SHARE) as i64;
+        let contradicts = if self.demoted {
+            wanted.as_micros() <= restore_at_us
         } else {
             wanted > self.cap
         };
-        if !asks {
+        if !contradicts {
             self.since = None;
             return None;
         }
         let since = *self.since.get_or_insert(now);
-        let patience = if self.demoted {
+        let waiting_time = if self.demoted {
             RESTORE_AFTER
         } else {
             DEMOTE_AFTER
         };
-        if now - since < patience {
+        if now - since < waiting_time {
             return None;
         }
         self.since = None;

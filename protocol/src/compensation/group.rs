@@ -124,19 +124,6 @@ impl GroupDelay {
         self.wanted.retain(|(p, _)| *p != who);
     }
 
-    /// Participants whose delay estimate is above the cap. They extrapolate or hold late motion, and the
-    /// other sites receive their motion late.
-    pub fn beyond_cap(&self) -> impl Iterator<Item = ParticipantId> + '_ {
-        let cap = match self.mode {
-            CompensationMode::Adaptive { cap_us } => cap_us,
-            CompensationMode::None | CompensationMode::Fixed => u32::MAX,
-        };
-        self.wanted
-            .iter()
-            .filter(move |(_, w)| *w > cap)
-            .map(|(p, _)| *p)
-    }
-
     /// Returns a new decision if one is due. It takes effect `lead` from now: choose a lead within which
     /// an operation reaches every site, so that all sites change together.
     pub fn poll_change(&mut self, now: ServerTime, lead: Span) -> Option<DelayChange> {

@@ -5,18 +5,15 @@
 //!
 //! ```text
 //! d = t_arrival - t_generated;   μ += α (d - μ);   ν += α (|d - μ| - ν)          α = 0.02
-//! D* = μ + 4ν + packet interval, or the 98th percentile of the last 200 d + interval
-//! spike mode: while d > D + 8ν, D* follows d at once; it ends when d falls below D again
-//! bridged: the part of the time since the newest sample that the timeline can not bridge (the default, `bridged`)
+//! D*: the part of the time since the newest sample that the timeline can not bridge (`bridged`)
 //! prediction: the growth of the uplink age within 600 ms is added to the earlier reports of the participants
 //! group: D = max over participants, slewed by dD/dt in [-0.02, +0.25], D <= cap
 //! ```
 //!
-//! μ + 4ν is the playout delay of Ramjee, Kurose, Towsley and Schulzrinne (INFOCOM 1994, algorithm 1).
-//! Our α is ten times theirs, as packets arrive five times as often and a hand may not wait. Their spike
-//! mode (algorithm 4) begins with a jump between packets and follows its slope; ours begins and ends at
-//! D. The percentile of past delays is Moon, Kurose and Towsley's (Multimedia Systems 6(1), 1998), over
-//! 10,000 packets there. The group rule, the slewed D and the bridging timeline are our own.
+//! μ and ν are those of Ramjee, Kurose, Towsley and Schulzrinne (INFOCOM 1994, algorithm 1). Their
+//! playout delay μ + 4ν covers nearly every packet and costs a third more delay than extrapolation needs;
+//! it only judges demoted participants. Our α is ten times theirs, as packets arrive five times as often.
+//! The bridging timeline, the group rule and the slewed D are our own.
 //!
 //! [`Prediction`] is the other reading of the source: the server predicts, and no site delays.
 //!
@@ -36,7 +33,7 @@ use crate::Span;
 
 pub use bridged::BRIDGE;
 pub use demotion::{DEMOTE_AFTER, Demotion, REPORT_OLD, RESTORE_AFTER, RESTORE_SHARE, Verdict};
-pub use estimator::{DelayEstimator, DelayRule, MotionArrival};
+pub use estimator::{DelayEstimator, MotionArrival};
 pub use group::{CHANGE_MIN, CHANGE_PART, CHANGE_PERIOD, DelayChange, GroupDelay, RAISE_PERIOD};
 pub use prediction::{PREDICTION_MAX, Prediction};
 pub use schedule::{CATCH_UP, DelaySchedule};
@@ -55,9 +52,6 @@ pub const SLEW_UP: f64 = 0.25;
 /// ms would demote both in an intercontinental session. Beyond 400 ms two people no longer work on one
 /// moment.
 pub const CAP_DEFAULT: Span = Span::from_millis(400);
-
-/// The number of ages in the percentile window.
-pub const PERCENTILE_WINDOW: usize = 200;
 
 #[cfg(test)]
 mod tests;

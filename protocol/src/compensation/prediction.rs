@@ -43,9 +43,8 @@ impl Prediction {
     /// Takes a client's report on the age of remote samples on their arrival.
     pub fn handle_report(&mut self, report: DelayReport, now: ServerTime) {
         let most = PREDICTION_MAX.as_micros() as f64;
-        let most_of_them_us =
-            f64::from(report.mean_us) + DEVIATIONS * f64::from(report.deviation_us);
-        self.target_us = most_of_them_us.min(most);
+        let horizon_us = f64::from(report.mean_us) + DEVIATIONS * f64::from(report.deviation_us);
+        self.target_us = horizon_us.min(most);
         if self.known.is_none() {
             // Without an earlier prediction the displayed tool can not jump.
             self.known = Some((now, self.target_us));
@@ -59,8 +58,9 @@ impl Prediction {
             return Span::ZERO;
         };
         let elapsed_us = (now - at).as_micros().max(0) as f64;
-        let way_us = self.target_us - before_us;
-        let ahead_us = before_us + way_us.clamp(-SLEW_UP * elapsed_us, SLEW_DOWN * elapsed_us);
+        let difference_us = self.target_us - before_us;
+        let ahead_us =
+            before_us + difference_us.clamp(-SLEW_UP * elapsed_us, SLEW_DOWN * elapsed_us);
         self.known = Some((at.max(now), ahead_us));
         Span::from_micros(ahead_us.round() as i64)
     }

@@ -18,23 +18,23 @@ use crate::{ServerTime, Span};
 #[derive(Debug, Clone)]
 pub struct DelaySchedule {
     changes: VecDeque<Change>,
-    behind: Option<Behind>,
+    late_change: Option<LateChange>,
 }
 
 /// The remaining difference between the local D and the log's D after a late change.
 #[derive(Debug, Clone, Copy)]
-struct Behind {
+struct LateChange {
     at: ServerTime,
     by_us: f64,
 }
 
-impl Behind {
+impl LateChange {
     fn at(&self, t: ServerTime) -> f64 {
         if t < self.at {
             return 0.0;
         }
-        let made_up = CATCH_UP * (t - self.at).as_micros() as f64;
-        (self.by_us.abs() - made_up).max(0.0).copysign(self.by_us)
+        let corrected = CATCH_UP * (t - self.at).as_micros() as f64;
+        (self.by_us.abs() - corrected).max(0.0).copysign(self.by_us)
     }
 }
 
@@ -52,8 +52,8 @@ struct Change {
 impl Change {
     fn at(&self, t: ServerTime) -> f64 {
         let elapsed = (t - self.from).as_micros().max(0) as f64;
-        let way = self.target_us - self.at_start_us;
-        self.at_start_us + way.clamp(-SLEW_DOWN * elapsed, SLEW_UP * elapsed)
+        let difference = self.target_us - self.at_start_us;
+        self.at_start_us + difference.clamp(-SLEW_DOWN * elapsed, SLEW_UP * elapsed)
     }
 }
 
@@ -73,7 +73,7 @@ impl DelaySchedule {
         };
         Self {
             changes: VecDeque::from([first]),
-            behind: None,
+            late_change: None,
         }
     }
 
@@ -98,10 +98,10 @@ impl DelaySchedule {
     /// from its current value and converges to the log's D by [`CATCH_UP`].
     pub fn handle_late_change(&mut self, delay_us: u32, effective_at: ServerTime, now: ServerTime) {
         let before_us = self.delay_us(now);
-        self.behind = None;
+        self.late_change = None;
         self.handle_change(delay_us, effective_at);
         let by_us = before_us - self.delay_us(now);
-        self.behind = (by_us != 0.0).then_some(Behind { at: now, by_us });
+        self.late_change = (by_us != 0.0).then_some(LateChange { at: now, by_us });
     }
 
     /// D at a moment.
@@ -116,7 +116,7 @@ impl DelaySchedule {
             .rev()
             .find(|c| c.from <= t)
             .or(self.changes.front());
-        change.map_or(0.0, |c| c.at(t)) + self.behind.map_or(0.0, |b| b.at(t))
+        change.map_or(0.0, |c| c.at(t)) + self.late_change.map_or(0.0, |b| b.at(t))
     }
 
     /// The moment τ = t - D(t) that is shown at server time t. It never runs backwards, because D

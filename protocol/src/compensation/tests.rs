@@ -19,78 +19,18 @@ fn adaptive(initial_us: u32, cap_us: u32) -> CompensationSettings {
 }
 
 #[test]
-fn delay_estimate_covers_nearly_all_arrivals() {
-    for rule in [DelayRule::MeanDeviation, DelayRule::Percentile] {
-        let mut rng = Pcg64::seed_from_u64(3);
-        let mut estimator = DelayEstimator::new(rule);
-        let (mut late, mut count) = (0, 0);
-        for i in 0..5000_i64 {
-            let d = 60_000 + rng.random_range(-10_000..10_000);
-            if i > 1000 {
-                let wanted = estimator.wanted().unwrap().as_micros();
-                assert!((68_000..90_000).contains(&wanted), "{rule:?}: {wanted} µs");
-                count += 1;
-                late += i32::from(d > wanted);
-            }
-            let wanted = estimator.wanted().unwrap_or(Span::from_millis(80));
-            estimator.handle_arrival(
-                MotionArrival::on_time(at(i * 4000), at(i * 4000 + d)),
-                wanted,
-            );
-        }
-        assert!(
-            late * 50 < count,
-            "{rule:?}: {late} of {count} came too late"
-        );
-    }
-}
-
-#[test]
-fn spike_is_followed_at_once_and_forgotten_afterwards() {
-    let mut estimator = DelayEstimator::new(DelayRule::MeanDeviation);
-    let in_force = Span::from_millis(70);
-    let mut t = 0;
-    let mut feed = |estimator: &mut DelayEstimator, d: i64| {
-        t += 4000;
-        estimator.handle_arrival(MotionArrival::on_time(at(t), at(t + d)), in_force);
-    };
-    for i in 0..500 {
-        feed(&mut estimator, 60_000 + i % 3 * 1000);
-    }
-    assert!(!estimator.in_spike());
-    feed(&mut estimator, 180_000);
-    assert!(estimator.in_spike());
-    assert!(estimator.wanted() >= Some(Span::from_millis(180)));
-    feed(&mut estimator, 60_000);
-    assert!(!estimator.in_spike());
-    assert!(estimator.wanted() < Some(Span::from_millis(100)));
-}
-
-#[test]
 fn clock_set_by_hours_is_not_a_delay_and_is_counted() {
-    for rule in [
-        DelayRule::MeanDeviation,
-        DelayRule::Percentile,
-        DelayRule::Bridged,
-    ] {
-        for hours_us in [7_200_000_000_i64, -7_200_000_000] {
-            let mut estimator = DelayEstimator::new(rule);
-            for i in 0..2000_i64 {
-                let wrong_us = if (1000..1075).contains(&i) {
-                    hours_us
-                } else {
-                    0
-                };
-                let (sent, arrival) = (i * 4000, i * 4000 + 60_000 + wrong_us);
-                estimator.handle_arrival(
-                    MotionArrival::on_time(at(sent), at(arrival)),
-                    Span::from_millis(70),
-                );
-            }
-            assert_eq!(estimator.ignored(), 75);
-            let wanted = estimator.wanted().unwrap();
-            assert!(wanted < Span::from_millis(80), "{rule:?}: {wanted:?}");
+    for hours_us in [7_200_000_000_i64, -7_200_000_000] {
+        let mut estimator = DelayEstimator::default();
+        for i in 0..2000_i64 {
+            let is_wrong = (1000..1075).contains(&i);
+            let wrong_us = if is_wrong { hours_us } else { 0 };
+            let (sent, arrival) = (i * 4000, i * 4000 + 60_000 + wrong_us);
+            estimator.handle_arrival(MotionArrival::on_time(at(sent), at(arrival)));
         }
+        assert_eq!(estimator.ignored(), 75);
+        let wanted = estimator.wanted().unwrap();
+        assert!(wanted < Span::from_millis(80), "{wanted:?}");
     }
 }
 
@@ -172,7 +112,7 @@ proptest! {
 }
 
 #[test]
-fn group_delay_follows_the_slowest_up_to_the_cap_and_lists_participants_beyond() {
+fn group_delay_follows_the_slowest_up_to_the_cap() {
     let mut group = GroupDelay::new(&adaptive(50_000, 200_000));
     let report = |wanted_us| DelayReport {
         wanted_us,
@@ -187,7 +127,6 @@ fn group_delay_follows_the_slowest_up_to_the_cap_and_lists_participants_beyond()
         (change.delay_us, change.effective_at),
         (200_000, at(100_000))
     );
-    assert_eq!(group.beyond_cap().collect::<Vec<_>>(), [far]);
     assert_eq!(
         group.poll_change(at(100_000), lead),
         None,
@@ -207,7 +146,6 @@ fn group_delay_follows_the_slowest_up_to_the_cap_and_lists_participants_beyond()
     let mut raised = GroupDelay::new(&adaptive(50_000, 600_000));
     raised.handle_report(far, report(320_000));
     assert_eq!(raised.poll_change(at(0), lead).unwrap().delay_us, 320_000);
-    assert_eq!(raised.beyond_cap().count(), 0);
 }
 
 #[test]
@@ -254,7 +192,7 @@ proptest! {
         seed in any::<u64>(),
     ) {
         let mut rng = Pcg64::seed_from_u64(seed);
-        let mut estimator = DelayEstimator::new(DelayRule::default());
+        let mut estimator = DelayEstimator::default();
         let (mut least, mut most) = (i64::MAX, 0);
         for i in 0..2000_i64 {
             let age_us = base_ms * 1000 + rng.random_range(0..10_000);
@@ -268,7 +206,7 @@ proptest! {
                 stall: Span::from_millis(stall),
                 ..MotionArrival::on_time(at(i * 4000), at(i * 4000 + age_us))
             };
-            let left = estimator.handle_arrival(motion, Span::from_millis(50)).as_micros();
+            let left = estimator.handle_arrival(motion).as_micros();
             // Where every arrival is delayed, the measurement begins after a second.
             if i >= 260 {
                 prop_assert!((base_ms * 1000..=age_us).contains(&left), "{left} of {age_us} us");
@@ -283,7 +221,7 @@ proptest! {
 
 #[test]
 fn sender_lateness_does_not_count_as_network_delay() {
-    let mut estimator = DelayEstimator::new(DelayRule::default());
+    let mut estimator = DelayEstimator::default();
     let mut t = 0;
     for i in 0..4000_i64 {
         // One batch of 50 leaves 200 ms late, and nothing between it and the batch before.
@@ -303,7 +241,7 @@ fn sender_lateness_does_not_count_as_network_delay() {
             late,
             ..MotionArrival::on_time(at(t - late.newest.as_micros()), at(t + age_us))
         };
-        estimator.handle_arrival(motion, Span::from_millis(70));
+        estimator.handle_arrival(motion);
     }
     let wanted = estimator.wanted().unwrap();
     assert!(wanted <= Span::from_millis(68), "{wanted:?}");

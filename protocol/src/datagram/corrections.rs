@@ -3,8 +3,7 @@
 use super::shape::PIECE_NODES;
 use crate::ServerTime;
 
-/// Displacements of some nodes of the tissue, in steps of
-/// [`DISPLACEMENT_STEP_M`](super::shape::DISPLACEMENT_STEP_M).
+/// Displacements of some nodes of the tissue, in steps of 0.01 mm.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Corrections {
     /// The topology that the node numbers belong to.

@@ -18,10 +18,7 @@ use super::range_coder::{Chance, Coder, Number};
 use super::{Moment, quantise};
 use crate::{ProtocolError, ServerTime, Span};
 
-/// Step of a displacement for comparison in metres: 0.01 mm, for a range of ±327 mm.
-pub const DISPLACEMENT_STEP_M: f64 = 1e-5;
-
-/// The step of [`DISPLACEMENT_STEP_M`] in micrometres.
+/// Step of a displacement for comparison in micrometres, for a range of ±327 mm.
 pub(super) const FINE_STEP_UM: u16 = 10;
 
 /// The largest step of displacements, micrometres; a coarser one can be felt.

@@ -1,14 +1,14 @@
 //! The client's end of a session.
 
+mod clock_step;
 mod outgoing;
-mod returns;
-mod step;
+mod resumption;
 
 use std::collections::VecDeque;
 
 use crate::clock::{ClockEstimate, ClockMap};
 use crate::codec::{self, FrameDecoder};
-use crate::compensation::{DelayEstimator, DelayRule, DelaySchedule, MotionArrival, REPORT_OLD};
+use crate::compensation::{DelayEstimator, DelaySchedule, MotionArrival, REPORT_OLD};
 use crate::datagram::{Body, Header};
 use crate::handshake::{
     Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused, Welcome,
@@ -20,14 +20,13 @@ use crate::session::motion_batch::MotionBatch;
 use crate::session::outbox::Outbox;
 use crate::session::preamble::PreambleReader;
 use crate::session::{
-    ClientEvent, CloseReason, Deadband, EVENTS_MAX, HANDSHAKE_TIMEOUT, Link, LinkStats,
-    SERVER_SILENCE,
+    ClientEvent, CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, Link, LinkStats, SERVER_SILENCE,
 };
 use crate::{
     ClientTime, LocalSample, OperationId, ParticipantId, ProtocolError, RequestId, ServerTime,
     Span, ToolTrack,
 };
-use outgoing::Wants;
+use outgoing::Pending;
 
 /// Between clock probes until the clock is locked.
 pub const PROBE_PERIOD_FIRST: Span = Span::from_millis(20);
@@ -70,7 +69,7 @@ struct Joined {
     schedule: DelaySchedule,
     newest_shown: Vec<(ParticipantId, ServerTime)>,
     /// The last arrival of motion of another participant's tool.
-    news_at: ClientTime,
+    last_motion_at: ClientTime,
 }
 
 /// The client's end of a session, see [`crate::session`] for the calling order. Created with a [`Hello`], it writes the
@@ -87,13 +86,13 @@ pub struct ClientSession {
     last_request: u32,
     /// The log position from which a resumed seat continues.
     resumes_at: Option<OperationId>,
-    known_delay: Option<DelaySchedule>,
+    resumed_schedule: Option<DelaySchedule>,
     started: ClientTime,
-    heard: ClientTime,
+    last_received: ClientTime,
     link_lost: bool,
     probe_due: ClientTime,
     /// The content for the next packet.
-    wants: Wants,
+    pending: Pending,
     report_due: ClientTime,
 }
 
@@ -118,17 +117,17 @@ impl ClientSession {
             outbox,
             link: Link::default(),
             clock: ClockEstimate::new(),
-            delay: DelayEstimator::new(DelayRule::default()),
+            delay: DelayEstimator::default(),
             motion: MotionBatch::default(),
             events: VecDeque::new(),
             last_request: 0,
             resumes_at,
-            known_delay: None,
+            resumed_schedule: None,
             started: now,
-            heard: now,
+            last_received: now,
             link_lost: false,
             probe_due: now,
-            wants: Wants::default(),
+            pending: Pending::default(),
             report_due: now,
         })
     }
@@ -161,7 +160,7 @@ impl ClientSession {
             }
             self.state = State::Hello;
         }
-        self.hear(now);
+        self.note_received(now);
         self.decoder.push(bytes);
         while !matches!(self.state, State::Closed) {
             let Some(message) = self.decoder.next()? else {
@@ -230,7 +229,7 @@ impl ClientSession {
             catch_up: welcome.operations_so_far,
             schedule,
             newest_shown: Vec::new(),
-            news_at: now,
+            last_motion_at: now,
         }));
         self.probe_due = now;
         self.report_due = now + DELAY_REPORT_PERIOD;
@@ -267,12 +266,12 @@ impl ClientSession {
                 joined.schedule.handle_change(*delay_us, *effective_at);
             }
             OperationKind::Left { participant, .. }
-            | OperationKind::Away { participant }
+            | OperationKind::Disconnected { participant }
             | OperationKind::Demoted { participant, .. } => {
                 joined.newest_shown.retain(|(p, _)| p != participant);
                 // The last delay estimate is void: no other participant's motion arrives.
                 if joined.newest_shown.is_empty() {
-                    self.delay = DelayEstimator::new(DelayRule::default());
+                    self.delay = DelayEstimator::default();
                 }
             }
             _ => {}
@@ -298,7 +297,7 @@ impl ClientSession {
             return;
         };
         self.link.count_stall(stall);
-        self.hear(now);
+        self.note_received(now);
         match datagram.body {
             Body::Motion(tracks) => self.handle_motion(&datagram.header, tracks, stall, now),
             Body::Corrections(c) => self.emit(ClientEvent::Corrections(c)),
@@ -311,7 +310,7 @@ impl ClientSession {
         }
         // A client without motion would acknowledge only with the next clock probe, too late to cover
         // all datagrams.
-        self.wants.acknowledgement |= self.link.owes_acknowledgement();
+        self.pending.acknowledgement |= self.link.owes_acknowledgement();
     }
 
     fn handle_motion(
@@ -327,7 +326,7 @@ impl ClientSession {
         let arrived = self.clock.map().map(|map| map.to_server(now));
         // The age of a datagram is that of its oldest news.
         let mut oldest: Option<MotionArrival> = None;
-        let mut is_heard = false;
+        let mut has_newer = false;
         for track in &tracks {
             let Some(newest) = track.samples.last().map(|s| s.time) else {
                 continue;
@@ -336,7 +335,7 @@ impl ClientSession {
                 .newest_shown
                 .iter_mut()
                 .find(|(p, _)| *p == track.participant);
-            let is_news = match known {
+            let is_newer = match known {
                 Some((_, seen)) if *seen >= newest => false,
                 Some((_, seen)) => {
                     *seen = newest;
@@ -350,8 +349,8 @@ impl ClientSession {
                     true
                 }
             };
-            is_heard |= is_news;
-            let Some(arrived) = arrived.filter(|_| is_news) else {
+            has_newer |= is_newer;
+            let Some(arrived) = arrived.filter(|_| is_newer) else {
                 continue;
             };
             let motion = MotionArrival {
@@ -365,12 +364,11 @@ impl ClientSession {
                 oldest = Some(motion);
             }
         }
-        if is_heard {
-            joined.news_at = now;
+        if has_newer {
+            joined.last_motion_at = now;
         }
         if let Some(motion) = oldest {
-            let in_force = joined.schedule.delay_at(motion.arrived);
-            self.delay.handle_arrival(motion, in_force);
+            self.delay.handle_arrival(motion);
             if self.delay.take_urgent() {
                 self.report_due = now;
             }
@@ -393,7 +391,7 @@ impl ClientSession {
             State::Joined(joined) => {
                 let participant = joined.participant;
                 if now >= self.probe_due {
-                    self.wants.probe = true;
+                    self.pending.probe = true;
                     let locked = self.clock.map().is_some();
                     self.probe_due = now
                         + if locked {
@@ -405,7 +403,7 @@ impl ClientSession {
                 if now >= self.report_due {
                     self.report_due = now + DELAY_REPORT_PERIOD;
                     // Without motion from other participants there is no delay estimate.
-                    let is_fresh = now - joined.news_at <= REPORT_OLD;
+                    let is_fresh = now - joined.last_motion_at <= REPORT_OLD;
                     if let Some(report) = self.delay.report().filter(|_| is_fresh) {
                         let since = self
                             .clock
@@ -415,7 +413,7 @@ impl ClientSession {
                             .enqueue(Body::Delays(vec![(participant, report)]), since);
                     }
                 }
-                if !self.link_lost && now - self.heard >= SERVER_SILENCE {
+                if !self.link_lost && now - self.last_received >= SERVER_SILENCE {
                     self.link_lost = true;
                     self.emit(ClientEvent::LinkLost);
                 }
@@ -439,12 +437,6 @@ impl ClientSession {
         if !self.motion.push(sample) {
             self.link.count_refused_samples(1);
         }
-    }
-
-    /// Omits motion that receivers predict to within a deadband; `None`, the initial setting, sends all
-    /// of it.
-    pub fn set_deadband(&mut self, deadband: Option<Deadband>) {
-        self.motion.set_deadband(deadband);
     }
 
     /// Sends a request; the answer is an operation, or [`ClientEvent::RequestRefused`].
@@ -496,7 +488,7 @@ impl ClientSession {
             State::Preamble(_) | State::Hello => Some(self.started + HANDSHAKE_TIMEOUT),
             State::Joined(_) => {
                 let due = self.probe_due.min(self.report_due);
-                let silence = self.heard + SERVER_SILENCE;
+                let silence = self.last_received + SERVER_SILENCE;
                 Some(if self.link_lost {
                     due
                 } else {
@@ -525,14 +517,6 @@ impl ClientSession {
         }
     }
 
-    /// D over time, for another thread to keep a copy of; `None` before the welcome.
-    pub fn delay_schedule(&self) -> Option<&DelaySchedule> {
-        match &self.state {
-            State::Joined(joined) => Some(&joined.schedule),
-            _ => None,
-        }
-    }
-
     /// The client's participant number, once welcomed.
     pub fn participant(&self) -> Option<ParticipantId> {
         match &self.state {
@@ -554,8 +538,8 @@ impl ClientSession {
         }
     }
 
-    fn hear(&mut self, now: ClientTime) {
-        self.heard = now;
+    fn note_received(&mut self, now: ClientTime) {
+        self.last_received = now;
         if self.link_lost {
             self.link_lost = false;
             self.emit(ClientEvent::LinkRestored);

@@ -70,8 +70,6 @@ pub struct LinkStats {
     pub expected: u64,
     /// Sent datagrams that the other side has acknowledged.
     pub acknowledged: u64,
-    /// Sent datagrams up to the newest that is acknowledged.
-    pub acknowledgeable: u64,
     /// Samples that were refused when sending: stale, not finite or out of range.
     pub samples_refused: u64,
     /// Lateness that this machine caused: of datagrams received, and of motion sent.
@@ -87,20 +85,11 @@ pub struct LinkStats {
 impl LinkStats {
     /// Share of the other side's datagrams that did not arrive, 0 to 1.
     pub fn loss_in(&self) -> f64 {
-        lost(self.received, self.expected)
-    }
-
-    /// Share of the sent datagrams that the other side did not receive, 0 to 1.
-    pub fn loss_out(&self) -> f64 {
-        lost(self.acknowledged, self.acknowledgeable)
-    }
-}
-
-fn lost(got: u64, of: u64) -> f64 {
-    if of == 0 {
-        0.0
-    } else {
-        1.0 - (got as f64 / of as f64).min(1.0)
+        if self.expected == 0 {
+            0.0
+        } else {
+            1.0 - (self.received as f64 / self.expected as f64).min(1.0)
+        }
     }
 }
 
@@ -412,7 +401,6 @@ impl Link {
             received: self.arrived.received(),
             expected: self.arrived.expected(),
             acknowledged: self.acknowledged.received(),
-            acknowledgeable: self.acknowledged.expected(),
             ..self.stats
         }
     }

@@ -13,7 +13,6 @@
 //! counted, because datagrams can arrive late, twice or truncated.
 
 mod client;
-mod deadband;
 mod link;
 mod motion_batch;
 mod outbox;
@@ -35,7 +34,6 @@ use crate::{ParticipantId, ProtocolError, ServerTime, Span, ToolSample, ToolTrac
 use link::Link;
 
 pub use client::{ClientSession, DELAY_REPORT_PERIOD, PROBE_PERIOD, PROBE_PERIOD_FIRST};
-pub use deadband::{DEADBAND_HEARTBEAT, Deadband};
 pub use link::{LinkStats, NoiseCounters};
 pub use picture::{PICTURE_RATE_BITS_PER_S, PICTURE_STEP_UM, Picture, PictureStats};
 pub use server::{FUTURE_MAX, REQUESTS_PER_SECOND_MAX, ServerPeer};
@@ -128,8 +126,7 @@ pub enum PeerEvent {
     Request(Request),
     /// Samples of this participant's tool.
     Motion(PeerMotion),
-    /// This participant's delay estimate, from a datagram. The same value may also arrive as a
-    /// request.
+    /// This participant's delay estimate.
     Delay(DelayReport),
     /// The session is over. It is the last event; the tool goes away.
     Closed(CloseReason),

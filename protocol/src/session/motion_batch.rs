@@ -7,7 +7,6 @@ use crate::clock::ClockMap;
 use crate::datagram::POSITION_MAX_M;
 use crate::datagram::motion::{BATCH, USUAL_SAMPLES};
 use crate::lateness::Lateness;
-use crate::session::deadband::{Deadband, SentMotion};
 use crate::{ClientTime, LocalSample, Span, ToolSample};
 
 /// One batch in this many carries the force, with its newest sample, ten times a second: other
@@ -35,8 +34,6 @@ pub(super) struct MotionBatch {
     batches: u32,
     /// Newest samples of the last two batches.
     before: [Option<ClientTime>; 2],
-    /// With a deadband: the receiver's knowledge.
-    sent: Option<SentMotion>,
 }
 
 impl MotionBatch {
@@ -71,32 +68,8 @@ impl MotionBatch {
         true
     }
 
-    /// Omits motion that the receiver predicts, or sends all of it.
-    pub(super) fn set_deadband(&mut self, deadband: Option<Deadband>) {
-        self.sent = deadband.map(SentMotion::nothing);
-    }
-
     /// The samples for the next datagram, oldest first, if one is due, and how late they leave.
     pub(super) fn poll(
-        &mut self,
-        now: ClientTime,
-        map: &ClockMap,
-    ) -> Option<(Vec<ToolSample>, Lateness)> {
-        loop {
-            let (samples, late) = self.next_batch(now, map)?;
-            match &mut self.sent {
-                Some(sent) if sent.predicts(&samples) => {}
-                Some(sent) => {
-                    sent.note(&samples);
-                    return Some((samples, late));
-                }
-                None => return Some((samples, late)),
-            }
-        }
-    }
-
-    /// The samples of the next batch, if one is due.
-    fn next_batch(
         &mut self,
         now: ClientTime,
         map: &ClockMap,

@@ -77,9 +77,9 @@ pub struct PictureStats {
     /// Nodes with an error above one step that did not fit into the newest picture.
     pub waiting: u64,
     /// Node displacements sent, repetitions included.
-    pub told: u64,
+    pub sent: u64,
     /// Node displacements sent again because their datagram was not acknowledged.
-    pub again: u64,
+    pub resent: u64,
     /// Bytes to this subscriber, including overhead.
     pub bytes: u64,
 }
@@ -236,7 +236,7 @@ impl PictureStream {
                 let sent = &mut self.sent[node as usize];
                 if sent.fate == Fate::InFlight(flight.sequence) {
                     sent.fate = Fate::Unsent;
-                    self.stats.again += 1;
+                    self.stats.resent += 1;
                 }
             }
         }
@@ -251,7 +251,7 @@ impl PictureStream {
             sent.last = steps(*displacement);
             sent.fate = Fate::InFlight(sequence);
         }
-        self.stats.told += piece.nodes.len() as u64;
+        self.stats.sent += piece.nodes.len() as u64;
         self.flights.push_back(Flight {
             sequence,
             sent: now,

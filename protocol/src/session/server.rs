@@ -33,7 +33,7 @@ enum State {
     Preamble(PreambleReader),
     Hello,
     /// The room has the hello and has not answered.
-    Asked,
+    AwaitsRoom,
     Joined {
         participant: ParticipantId,
         next_operation: OperationId,
@@ -44,13 +44,13 @@ enum State {
 #[cfg(test)]
 impl ServerPeer {
     /// The states, as named in STATES.md.
-    pub(super) const STATES: [&str; 5] = ["Preamble", "Hello", "Asked", "Joined", "Closed"];
+    pub(super) const STATES: [&str; 5] = ["Preamble", "Hello", "AwaitsRoom", "Joined", "Closed"];
 
     pub(super) fn state_name(&self) -> &'static str {
         match self.state {
             State::Preamble(_) => Self::STATES[0],
             State::Hello => Self::STATES[1],
-            State::Asked => Self::STATES[2],
+            State::AwaitsRoom => Self::STATES[2],
             State::Joined { .. } => Self::STATES[3],
             State::Closed => Self::STATES[4],
         }
@@ -70,7 +70,7 @@ pub struct ServerPeer {
     picture: Option<Box<PictureStream>>,
     events: VecDeque<PeerEvent>,
     started: ServerTime,
-    heard: ServerTime,
+    last_received: ServerTime,
     heartbeat_due: ServerTime,
     /// The second that is being counted, and the requests in it.
     requests: (ServerTime, u32),
@@ -87,7 +87,7 @@ impl ServerPeer {
             picture: None,
             events: VecDeque::new(),
             started: now,
-            heard: now,
+            last_received: now,
             heartbeat_due: now,
             requests: (now, 0),
         }
@@ -118,7 +118,7 @@ impl ServerPeer {
             self.outbox.push_bytes(Preamble::OURS.to_bytes().to_vec())?;
             self.state = State::Hello;
         }
-        self.heard = now;
+        self.last_received = now;
         self.decoder.push(bytes);
         while !matches!(self.state, State::Closed) {
             let Some(message) = self.decoder.next()? else {
@@ -137,7 +137,7 @@ impl ServerPeer {
         match (&self.state, message) {
             (State::Hello, ClientMessage::Hello(hello)) => {
                 if name_is_valid(&hello.name) {
-                    self.state = State::Asked;
+                    self.state = State::AwaitsRoom;
                     self.emit(PeerEvent::Hello(hello));
                     Ok(())
                 } else {
@@ -204,7 +204,7 @@ impl ServerPeer {
         let State::Joined { participant, .. } = self.state else {
             return;
         };
-        self.heard = now;
+        self.last_received = now;
         if let Some(picture) = &mut self.picture {
             picture.acknowledge(self.link.fresh(), now);
         }
@@ -264,13 +264,13 @@ impl ServerPeer {
     pub fn handle_timeout(&mut self, now: ServerTime) {
         match self.state {
             State::Closed => {}
-            State::Preamble(_) | State::Hello | State::Asked => {
+            State::Preamble(_) | State::Hello | State::AwaitsRoom => {
                 if now - self.started >= HANDSHAKE_TIMEOUT {
                     self.close(CloseReason::HandshakeTimeout);
                 }
             }
             State::Joined { .. } => {
-                if now - self.heard >= PEER_SILENCE {
+                if now - self.last_received >= PEER_SILENCE {
                     self.close(CloseReason::Silent(PEER_SILENCE));
                 } else if now >= self.heartbeat_due {
                     self.heartbeat_due = now + HEARTBEAT;
@@ -319,7 +319,7 @@ impl ServerPeer {
             })
         };
         match (message, &mut self.state) {
-            (PeerMessage::Welcome(welcome), State::Asked) => {
+            (PeerMessage::Welcome(welcome), State::AwaitsRoom) => {
                 self.outbox.push(&ServerMessage::Welcome(welcome.clone()))?;
                 self.link.open(welcome.epoch, welcome.participant);
                 self.decoder.set_limit(codec::FRAME_MAX_BYTES);
@@ -327,7 +327,7 @@ impl ServerPeer {
                     participant: welcome.participant,
                     next_operation: welcome.first_operation,
                 };
-                self.heard = now;
+                self.last_received = now;
                 Ok(())
             }
             (PeerMessage::Welcome(_), _) => not_joined("welcome without a hello"),
@@ -448,10 +448,10 @@ impl ServerPeer {
     pub fn poll_timeout(&self) -> Option<ServerTime> {
         match self.state {
             State::Closed => None,
-            State::Preamble(_) | State::Hello | State::Asked => {
+            State::Preamble(_) | State::Hello | State::AwaitsRoom => {
                 Some(self.started + HANDSHAKE_TIMEOUT)
             }
-            State::Joined { .. } => Some(self.heartbeat_due.min(self.heard + PEER_SILENCE)),
+            State::Joined { .. } => Some(self.heartbeat_due.min(self.last_received + PEER_SILENCE)),
         }
     }
 

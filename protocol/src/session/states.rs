@@ -6,8 +6,7 @@ use super::tests::{hello, operation_at, welcome};
 use super::*;
 use crate::codec::{HELLO_MAX_BYTES, encode_frame};
 use crate::handshake::{PROTOCOL_VERSION, Preamble, RefusalReason};
-use crate::request::{ClientMessage, RequestKind, ServerMessage};
-use crate::tool::ToolDescription;
+use crate::request::{ClientMessage, CutRequest, RequestKind, ServerMessage};
 use crate::{ClientTime, RequestId, ServerTime, TopologyHash};
 
 const DOCUMENT: &str = include_str!("../../STATES.md");
@@ -130,7 +129,7 @@ fn request(kind: RequestKind) -> Vec<u8> {
 
 fn peer_in(state: &str) -> ServerPeer {
     let mut peer = ServerPeer::new(ServerTime::ZERO);
-    let stages = ["Preamble", "Hello", "Asked", "Joined", "Closed"];
+    let stages = ["Preamble", "Hello", "AwaitsRoom", "Joined", "Closed"];
     let stage = stages.iter().position(|s| *s == state).unwrap();
     if stage >= 1 {
         peer.handle_stream(&Preamble::OURS.to_bytes(), ServerTime::ZERO);
@@ -156,7 +155,10 @@ fn run_peer(from: &str, what: &str) -> &'static str {
         version: 0,
         hash: TopologyHash(0),
     };
-    let odd = RequestKind::SetTool(ToolDescription::probe(f64::NAN));
+    let odd = RequestKind::Cut(CutRequest {
+        points: Vec::new(),
+        width_m: f64::NAN,
+    });
     let sent = match what {
         "the room welcomes" => peer.send(&PeerMessage::Welcome(Box::new(welcome(0, 0))), now),
         "the room refuses" => {

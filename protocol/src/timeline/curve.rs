@@ -245,7 +245,7 @@ impl Curve {
         };
         let (km, k1) = (self.knot(m, newest.time), self.knot(i, newest.time));
         let s = (t - newest.time).as_secs_f64();
-        let (position_m, velocity) = self.carried_on(i, (km, k1), s);
+        let (position_m, velocity) = self.extrapolate(i, (km, k1), s);
         let (qm, q1) = (
             unit(self.samples[m].pose.orientation),
             unit(newest.pose.orientation),
@@ -264,7 +264,7 @@ impl Curve {
     }
 
     /// Position and velocity `s` seconds beyond number `i`, the newest; `km` is one window before `k1`, its own knot.
-    fn carried_on(&self, i: usize, (km, k1): (Knot, Knot), s: f64) -> (Vec3, Vec3) {
+    fn extrapolate(&self, i: usize, (km, k1): (Knot, Knot), s: f64) -> (Vec3, Vec3) {
         let straight = (
             verlet::extrapolate(km, k1, [0.0; 3], s),
             verlet::velocity(km, k1),

@@ -196,9 +196,9 @@ impl Timeline {
         Some(shown)
     }
 
-    /// The pose that a site with these samples and no correction in progress displays; `None` before the
-    /// first sample.
-    pub fn foresee(&self, t: ServerTime) -> Option<Pose> {
+    /// The pose from the samples alone, without the correction in progress; `None` before the first
+    /// sample.
+    pub fn uncorrected_pose(&self, t: ServerTime) -> Option<Pose> {
         self.raw(t).map(|shown| shown.pose)
     }
 
@@ -207,12 +207,12 @@ impl Timeline {
         let newest = self.curve.newest()?;
         let beyond = t - newest.time;
         let held = beyond > self.gap_limit;
-        let asked = if held {
+        let queried = if held {
             newest.time + self.gap_limit
         } else {
             t
         };
-        let (pose, velocity_m_s, sample, source) = self.curve.at(asked)?;
+        let (pose, velocity_m_s, sample, source) = self.curve.at(queried)?;
         let faded = (beyond - self.gap_limit).as_secs_f64() / FADE.as_secs_f64();
         Some(Shown {
             pose,

@@ -1,4 +1,7 @@
 //! The log of every program, on standard error.
+//!
+//! Spans give each line its context: `session`, `participant` and `connection`. They have the level
+//! `error`, because a filter drops a span of a lower level also from the lines of errors.
 
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::prelude::*;

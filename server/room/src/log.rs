@@ -6,8 +6,8 @@
 //!
 //! ```text
 //! change of the playout delay                     up to  8,000 operations
-//! cut, tool change, demotion                      up to 16,000 operations and 28 MiB
-//! join, resumption                                up to 18,000 operations and 30 MiB
+//! cut, demotion                                   up to 16,000 operations and 28 MiB
+//! join, resumption with its tool change           up to 18,000 operations and 30 MiB
 //! leave, disconnect, restored tool, session start always; at most three per occupied seat are outstanding
 //! ```
 
@@ -22,11 +22,11 @@ use palpate_protocol::session::STREAM_BACKLOG_MAX_BYTES;
 /// At a constant four changes per second, more than networks need, this is half an hour.
 const DELAYS_MAX: usize = 8_000;
 
-/// Limit for cuts and tool changes. The host should then save the tissue as a new model.
+/// Limit for cuts and demotions. The host should then save the tissue as a new model.
 const OPERATIONS_MAX: usize = 16_000;
 
 /// Limit for joins and resumptions. The transport lets 20,000 operations wait for a peer.
-const GREETED_MAX: usize = 18_000;
+const JOINS_MAX: usize = 18_000;
 
 /// Bytes of a peer's backlog reserved beyond cuts: two thousand of the longest operations without stroke (a name of
 /// 64 B and a tool) take half of it.
@@ -71,14 +71,14 @@ impl Log {
         self.len() < DELAYS_MAX && self.takes_bytes(BYTES_LEFT_FOR_SEATS)
     }
 
-    /// Whether a cut, a tool change or a demotion fits.
+    /// Whether a cut or a demotion fits.
     pub(crate) fn takes_work(&self) -> bool {
         self.len() < OPERATIONS_MAX && self.takes_bytes(BYTES_LEFT_FOR_SEATS)
     }
 
     /// Whether a join or a resumption fits.
     pub(crate) fn takes_seat(&self) -> bool {
-        self.len() < GREETED_MAX && self.takes_bytes(BYTES_LEFT_FOR_ENDS)
+        self.len() < JOINS_MAX && self.takes_bytes(BYTES_LEFT_FOR_ENDS)
     }
 
     /// Whether the longest operation leaves `left` bytes of a peer's backlog.
@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn delay_changes_are_rejected_first_then_cuts_then_joins() {
-        let back = operation(OperationKind::Back {
+        let back = operation(OperationKind::Reconnected {
             participant: ParticipantId(1),
         });
         let mut log = Log::default();
@@ -140,6 +140,6 @@ mod tests {
             }
             log.push(Arc::clone(&back));
         }
-        assert_eq!(ends, [DELAYS_MAX, OPERATIONS_MAX, GREETED_MAX]);
+        assert_eq!(ends, [DELAYS_MAX, OPERATIONS_MAX, JOINS_MAX]);
     }
 }

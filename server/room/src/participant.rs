@@ -1,7 +1,7 @@
 //! One seat of the session.
 
 use nalgebra::{Quaternion, UnitQuaternion};
-use palpate_protocol::compensation::{DelayEstimator, DelayRule, Demotion};
+use palpate_protocol::compensation::{DelayEstimator, Demotion};
 use palpate_protocol::handshake::{RosterEntry, Subscription};
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::timeline::Timeline;
@@ -17,11 +17,11 @@ const PRIMARY_BUTTON: u8 = 1;
 
 /// Connection state of a seat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Place {
+pub(crate) enum Presence {
     /// Connected.
-    Here(PeerKey),
+    Connected(PeerKey),
     /// The connection was lost; the seat is kept.
-    Away {
+    Disconnected {
         /// End of the time for which the seat is kept.
         until: ServerTime,
     },
@@ -30,7 +30,7 @@ pub(crate) enum Place {
 /// A participant of the session.
 #[derive(Debug)]
 pub(crate) struct Participant {
-    pub(crate) place: Place,
+    pub(crate) presence: Presence,
     /// Token that resumes the seat.
     pub(crate) token: ResumeToken,
     /// Number of resumptions.
@@ -50,15 +50,15 @@ pub(crate) struct Participant {
     /// The last delay report of the client, with its time of reception.
     pub(crate) report: Option<(ServerTime, DelayReport)>,
     /// Its downlink at the last delay report, µs.
-    pub(crate) down_us: i64,
+    pub(crate) downlink_us: i64,
     /// Whether it is demoted to spectator because of its network.
     pub(crate) demotion: Demotion,
-    /// The tool presses from this time until `lifted`. Both are times of the log, so that server and clients lift
-    /// the tool in the same view.
-    presses_from: ServerTime,
-    lifted: Option<ServerTime>,
+    /// The tool is active from this time until `inactive_from`. Both are times of the log, so that server and
+    /// clients deactivate the tool in the same view.
+    active_from: ServerTime,
+    inactive_from: Option<ServerTime>,
     /// End and samples of the previous pressing interval, which views still show for D.
-    before: Option<(ServerTime, Timeline)>,
+    previous: Option<(ServerTime, Timeline)>,
 }
 
 impl Participant {
@@ -72,7 +72,7 @@ impl Participant {
         cap: Span,
     ) -> Self {
         Self {
-            place: Place::Here(peer),
+            presence: Presence::Connected(peer),
             token,
             resumed: 0,
             id,
@@ -82,53 +82,53 @@ impl Participant {
             subscription: Subscription::Full,
             timeline: Timeline::default(),
             requests: RequestHistory::default(),
-            delay: DelayEstimator::new(DelayRule::default()),
+            delay: DelayEstimator::default(),
             report: None,
-            down_us: 0,
+            downlink_us: 0,
             demotion: Demotion::new(cap),
-            presses_from: ServerTime::ZERO,
-            lifted: None,
-            before: None,
+            active_from: ServerTime::ZERO,
+            inactive_from: None,
+            previous: None,
         }
     }
 
-    /// Lifts the tool from a time on. A lifted tool stays lifted.
-    pub(crate) fn lift(&mut self, at: ServerTime) {
-        if self.lifted.is_none() {
-            self.lifted = Some(at);
-            self.before = Some((at, std::mem::take(&mut self.timeline)));
+    /// Deactivates the tool from a time on. An inactive tool stays inactive.
+    pub(crate) fn deactivate(&mut self, at: ServerTime) {
+        if self.inactive_from.is_none() {
+            self.inactive_from = Some(at);
+            self.previous = Some((at, std::mem::take(&mut self.timeline)));
         }
     }
 
     /// Lets the tool press again from a time on.
-    pub(crate) fn set_down(&mut self, at: ServerTime) {
-        (self.lifted, self.presses_from) = (None, at);
+    pub(crate) fn activate(&mut self, at: ServerTime) {
+        (self.inactive_from, self.active_from) = (None, at);
         self.timeline = Timeline::default();
     }
 
-    /// Whether the tool is lifted, because its owner is demoted or disconnected.
-    pub(crate) fn is_lifted(&self) -> bool {
-        self.lifted.is_some()
+    /// Whether the tool is inactive, because its owner is demoted or disconnected.
+    pub(crate) fn is_inactive(&self) -> bool {
+        self.inactive_from.is_some()
     }
 
     /// The connection, if there is one.
     pub(crate) fn peer(&self) -> Option<PeerKey> {
-        match self.place {
-            Place::Here(peer) => Some(peer),
-            Place::Away { .. } => None,
+        match self.presence {
+            Presence::Connected(peer) => Some(peer),
+            Presence::Disconnected { .. } => None,
         }
     }
 
     /// Whether the time for which the seat is kept is over.
-    pub(crate) fn is_given_up(&self, now: ServerTime) -> bool {
-        matches!(self.place, Place::Away { until } if now >= until)
+    pub(crate) fn is_expired(&self, now: ServerTime) -> bool {
+        matches!(self.presence, Presence::Disconnected { until } if now >= until)
     }
 
-    /// Handles a lost connection: lifts the tool and resets the delay estimate, which does not apply to the next
+    /// Handles a lost connection: deactivates the tool and resets the delay estimate, which does not apply to the next
     /// connection.
-    pub(crate) fn lose(&mut self, at: ServerTime) {
-        self.lift(at);
-        self.delay = DelayEstimator::new(DelayRule::default());
+    pub(crate) fn disconnect(&mut self, at: ServerTime) {
+        self.deactivate(at);
+        self.delay = DelayEstimator::default();
         self.report = None;
     }
 
@@ -142,12 +142,12 @@ impl Participant {
     }
 
     /// The parts of the tool that press at time t. Empty if there is no tool, no sample, only stale samples, a cutting
-    /// blade, or a lifted tool.
+    /// blade, or an inactive tool.
     pub(crate) fn pressing_at(&mut self, t: ServerTime) -> Vec<Tool> {
-        self.before.take_if(|(until, _)| t >= *until);
-        let shown = match &mut self.before {
-            Some((_, before)) => before.at(t),
-            None if self.lifted.is_some() || t < self.presses_from => None,
+        self.previous.take_if(|(until, _)| t >= *until);
+        let shown = match &mut self.previous {
+            Some((_, timeline)) => timeline.at(t),
+            None if self.inactive_from.is_some() || t < self.active_from => None,
             None => self.timeline.at(t),
         };
         let known = self.tool.zip(shown);

@@ -13,7 +13,6 @@ use palpate_protocol::request::{
     CutRequest, DelayReport, Request, RequestKind, RequestRefusal, RequestRefused,
 };
 use palpate_protocol::session::{PeerDatagram, PeerEvent, PeerMessage, PeerMotion};
-use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{OperationId, ParticipantId, RequestId, ServerTime, Span, TopologyHash};
 use palpate_tissue::Tool;
 
@@ -68,9 +67,9 @@ pub struct Room {
     settled: Option<i64>,
     next_tick: ServerTime,
     next_correction: ServerTime,
-    next_judgement: ServerTime,
+    next_demotion_decision: ServerTime,
     /// Delay reports before this time do not count for the group.
-    heard_from: ServerTime,
+    reports_count_from: ServerTime,
     cuts: u64,
     demotions: u64,
     repetitions: u64,
@@ -99,8 +98,8 @@ impl Room {
             settled: None,
             next_tick: now,
             next_correction: now,
-            next_judgement: now,
-            heard_from: now,
+            next_demotion_decision: now,
+            reports_count_from: now,
             cuts: 0,
             demotions: 0,
             repetitions: 0,
@@ -119,7 +118,7 @@ impl Room {
     pub fn handle_event(&mut self, peer: PeerKey, event: PeerEvent, now: ServerTime) {
         match (event, self.by_peer.get(&peer).copied()) {
             (PeerEvent::Hello(hello), None) => self.handle_hello(peer, hello, now),
-            (PeerEvent::Request(request), Some(who)) => self.handle_request(who, request, now),
+            (PeerEvent::Request(request), Some(who)) => self.handle_request(who, request),
             (PeerEvent::Motion(motion), Some(who)) => self.handle_motion(who, &motion, now),
             (PeerEvent::Delay(report), Some(who)) => self.note_report(who, report, now),
             (PeerEvent::Closed(reason), Some(who)) => self.handle_leave(who, &reason, now),
@@ -147,7 +146,7 @@ impl Room {
         }
     }
 
-    fn handle_request(&mut self, who: ParticipantId, request: Request, now: ServerTime) {
+    fn handle_request(&mut self, who: ParticipantId, request: Request) {
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
         };
@@ -164,11 +163,6 @@ impl Room {
         }
         let result = match request.kind {
             RequestKind::Cut(cut) => self.order_cut(who, request.id, cut),
-            RequestKind::SetTool(tool) => self.handle_tool(who, tool, now),
-            RequestKind::ReportDelay(report) => {
-                self.note_report(who, report, now);
-                Ok(())
-            }
             RequestKind::TopologyReport { version, hash } => self.check_topology(version, hash),
             // The session machine turns a leave into a close.
             RequestKind::Leave => Ok(()),
@@ -269,37 +263,6 @@ impl Room {
         }
     }
 
-    fn handle_tool(
-        &mut self,
-        who: ParticipantId,
-        tool: ToolDescription,
-        now: ServerTime,
-    ) -> Result<(), RequestRefusal> {
-        let participant = self
-            .participants
-            .get_mut(&who)
-            .ok_or(RequestRefusal::NotAllowed)?;
-        if !participant.role.has_tool() || !tool.is_valid() {
-            return Err(RequestRefusal::NotAllowed);
-        }
-        if participant.demotion.is_demoted() {
-            return Err(RequestRefusal::Demoted);
-        }
-        if !self.log.takes_work() {
-            return Err(RequestRefusal::LogFull);
-        }
-        participant.tool = Some(tool);
-        self.append(
-            who,
-            OperationKind::ToolChanged {
-                participant: who,
-                tool,
-            },
-            now,
-        );
-        Ok(())
-    }
-
     fn check_topology(&self, version: u32, hash: TopologyHash) -> Result<(), RequestRefusal> {
         match self.hashes.get(version as usize) {
             Some(ours) if *ours == hash => Ok(()),
@@ -308,14 +271,13 @@ impl Room {
     }
 
     fn handle_motion(&mut self, who: ParticipantId, motion: &PeerMotion, now: ServerTime) {
-        let in_force = self.schedule.delay_at(now);
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
         };
         let Some(arrival) = motion.arrival().filter(|_| participant.tool.is_some()) else {
             return;
         };
-        let age = participant.delay.handle_arrival(arrival, in_force);
+        let age = participant.delay.handle_arrival(arrival);
         // Samples of a demoted participant are only measured, for its restoration.
         if participant.demotion.is_demoted() {
             return;
@@ -353,8 +315,8 @@ impl Room {
         while self.next_tick <= now {
             self.next_tick = self.next_tick + period;
         }
-        self.give_up_kept(now);
-        self.judge(now);
+        self.remove_expired_seats(now);
+        self.decide_demotions(now);
         self.change_delay(now);
         let hz = i64::from(self.config.tick_hz.max(1));
         let grid = (self.schedule.shown_at(now).as_micros() * hz).div_euclid(1_000_000);
@@ -376,13 +338,13 @@ impl Room {
         if wants_corrections {
             self.next_correction = now + CORRECTION_PERIOD;
         }
-        let is_anybody_thin = self.peers_with(Subscription::Thin).next().is_some();
+        let has_thin_subscriber = self.peers_with(Subscription::Thin).next().is_some();
         self.is_settling = true;
         self.orders.push_back(TissueOrder::Settle(Settling {
             view_time,
             tools,
             wants_corrections,
-            wants_picture: is_anybody_thin.then_some(now),
+            wants_picture: has_thin_subscriber.then_some(now),
         }));
     }
 
@@ -440,6 +402,11 @@ impl Room {
     /// The next message to send.
     pub fn poll_output(&mut self) -> Option<Output> {
         self.outputs.pop_front()
+    }
+
+    /// The participant of a connection, once admitted.
+    pub fn participant_of(&self, peer: PeerKey) -> Option<ParticipantId> {
+        self.by_peer.get(&peer).copied()
     }
 
     /// Number of participants, including kept seats.

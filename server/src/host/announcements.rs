@@ -47,10 +47,10 @@ impl Names {
                     LeaveReason::Removed => format!("{name} disconnected by the server"),
                 })
             }
-            OperationKind::Away { participant } => {
+            OperationKind::Disconnected { participant } => {
                 self.of(*participant, "lost the connection; the seat is kept")
             }
-            OperationKind::Back { participant } => self.of(*participant, "reconnected"),
+            OperationKind::Reconnected { participant } => self.of(*participant, "reconnected"),
             OperationKind::Cut(_) => self.of(operation.author, "made a cut"),
             OperationKind::Demoted { participant, .. } => {
                 self.of(*participant, "demoted to spectator: network too slow")
@@ -142,7 +142,7 @@ mod tests {
             tool: None,
         };
         assert_eq!(line(joined).unwrap(), "ann joined (trainee)");
-        let away = OperationKind::Away { participant: ann };
+        let away = OperationKind::Disconnected { participant: ann };
         assert!(line(away).unwrap().starts_with("ann lost"));
         let delay = OperationKind::Compensation {
             delay_us: 1,
@@ -154,7 +154,7 @@ mod tests {
             reason: LeaveReason::Left,
         };
         assert_eq!(line(left).unwrap(), "ann left");
-        let back = OperationKind::Back { participant: ann };
+        let back = OperationKind::Reconnected { participant: ann };
         assert_eq!(line(back), None, "unknown participant");
     }
 }

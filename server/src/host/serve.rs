@@ -16,6 +16,7 @@ use palpate_transport::{
 };
 use tokio::runtime::Runtime;
 use tokio::sync::mpsc;
+use tracing::Instrument as _;
 
 use super::announcements::Announcements;
 use super::options::HostOptions;
@@ -98,6 +99,7 @@ pub(super) fn serve(
     };
     let tick = Duration::from_micros(config.tick_period().as_micros().unsigned_abs());
     let (tissue, uncut) = TissueThreads::start(Arc::new(model), solver_limit(tick))?;
+    let span = tracing::error_span!("session", epoch = config.epoch.0);
     let began = Instant::now();
     let mut session = Session {
         room: Room::new(uncut, config, ServerTime::ZERO),
@@ -115,7 +117,7 @@ pub(super) fn serve(
         announcements: Announcements::new(),
     };
     let server = Arc::new(server);
-    let (joined, inbox) = accept(&network, Arc::clone(&server), began);
+    let (joined, inbox) = span.in_scope(|| accept(&network, Arc::clone(&server), began));
     announce(server.local_addr())?;
     // This thread runs the room: it relays motion and computes no tissue.
     let _membership = threads::enter(ThreadClass::Network);
@@ -123,7 +125,7 @@ pub(super) fn serve(
         .enable_all()
         .build()
         .map_err(io("the room's event loop could not be started"))?;
-    let ended = here.block_on(session.run(options, joined, inbox));
+    let ended = here.block_on(session.run(options, joined, inbox).instrument(span));
     let summary = session.summary(tick, ended);
     network.block_on(server.close("the host ended the session"));
     network.shutdown_timeout(Duration::from_secs(1));
@@ -138,7 +140,7 @@ fn accept(
 ) -> (mpsc::Receiver<PeerHandle>, mpsc::Receiver<PeerInput>) {
     let (joined, joined_receiver) = mpsc::channel(16);
     let (inbox, inbox_receiver) = mpsc::channel(INBOX_MAX);
-    network.spawn(async move {
+    let accepting = async move {
         let mut next = 0;
         while let Some(connection) = server.accept().await {
             next += 1;
@@ -152,7 +154,8 @@ fn accept(
                 return;
             }
         }
-    });
+    };
+    network.spawn(accepting.in_current_span());
     (joined_receiver, inbox_receiver)
 }
 
@@ -241,6 +244,11 @@ impl Session {
     fn handle_input(&mut self, input: PeerInput) {
         let peer = PeerKey(input.peer.0);
         let closed = matches!(input.event, PeerEvent::Closed(_));
+        // Motion logs nothing and is too frequent for a span.
+        let is_motion = matches!(input.event, PeerEvent::Motion(_));
+        let participant = self.room.participant_of(peer).filter(|_| !is_motion);
+        let _span = participant
+            .map(|who| tracing::error_span!("participant", id = who.0, peer = peer.0).entered());
         if let PeerEvent::Closed(reason) = &input.event {
             tracing::info!(peer = peer.0, %reason, "peer disconnected");
         }

@@ -17,7 +17,7 @@ pub mod way;
 
 use std::sync::Arc;
 
-use palpate_protocol::compensation::{CAP_DEFAULT, DelayRule};
+use palpate_protocol::compensation::CAP_DEFAULT;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -50,27 +50,26 @@ pub enum Mode {
     None,
     /// Fixed delay, milliseconds.
     Fixed(u32),
-    /// Adaptive delay from a rule.
-    Adaptive(DelayRule),
+    /// Adaptive delay.
+    Adaptive,
     /// The server's prediction instead of a delay: the alternative reading of the source.
     Predicted,
 }
 
 impl Mode {
-    fn settings(self) -> (CompensationSettings, DelayRule) {
-        let (mode, initial_delay_us, rule) = match self {
-            Self::None | Self::Predicted => (CompensationMode::None, 0, DelayRule::default()),
-            Self::Fixed(ms) => (CompensationMode::Fixed, ms * 1000, DelayRule::default()),
-            Self::Adaptive(rule) => {
+    fn settings(self) -> CompensationSettings {
+        let (mode, initial_delay_us) = match self {
+            Self::None | Self::Predicted => (CompensationMode::None, 0),
+            Self::Fixed(ms) => (CompensationMode::Fixed, ms * 1000),
+            Self::Adaptive => {
                 let cap_us = u32::try_from(CAP_DEFAULT.as_micros()).unwrap_or(u32::MAX);
-                (CompensationMode::Adaptive { cap_us }, 60_000, rule)
+                (CompensationMode::Adaptive { cap_us }, 60_000)
             }
         };
-        let settings = CompensationSettings {
+        CompensationSettings {
             mode,
             initial_delay_us,
-        };
-        (settings, rule)
+        }
     }
 }
 
@@ -226,12 +225,11 @@ impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
         let air = Pcg64::seed_from_u64(rng.random());
         let mut way = |number| (self.ways)(number, Pcg64::seed_from_u64(rng.random()), air.clone());
         let ways = [[way(0), way(1)], [way(2), way(3)]];
-        let (settings, rule) = mode.settings();
         let hands = hands(self.motion.as_ref(), self.seed);
-        let simulation = Simulation::new(&settings, rule, ways, hands, self.seed);
+        let simulation = Simulation::new(&mode.settings(), ways, hands, self.seed);
         match mode {
             Mode::Predicted => simulation.predicted(),
-            Mode::None | Mode::Fixed(_) | Mode::Adaptive(_) => simulation,
+            Mode::None | Mode::Fixed(_) | Mode::Adaptive => simulation,
         }
     }
 

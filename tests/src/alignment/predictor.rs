@@ -45,7 +45,7 @@ impl Predictor {
         let time = newest + self.ahead[1 - site].ahead_at(now);
         let sample = ToolSample {
             time,
-            pose: tool.foresee(time)?,
+            pose: tool.uncorrected_pose(time)?,
             ..*samples.last()?
         };
         Some((sample, newest))

@@ -4,9 +4,7 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 use std::sync::Arc;
 
-use palpate_protocol::compensation::{
-    DelayEstimator, DelayRule, DelaySchedule, GroupDelay, MotionArrival,
-};
+use palpate_protocol::compensation::{DelayEstimator, DelaySchedule, GroupDelay, MotionArrival};
 use palpate_protocol::datagram::{Probe, Reply};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::request::DelayReport;
@@ -128,7 +126,6 @@ impl Simulation {
     /// A session of two hands over the given paths.
     pub fn new(
         settings: &CompensationSettings,
-        rule: DelayRule,
         ways: [[Box<dyn Way>; 2]; 2],
         hands: [Arc<dyn Hand>; 2],
         seed: u64,
@@ -137,13 +134,13 @@ impl Simulation {
         let sites = hands.map(|hand| {
             let offset_us = rng.random_range(-3_600_000_000..3_600_000_000);
             let drift = rng.random_range(-DRIFT_MAX..DRIFT_MAX);
-            Site::new(hand, settings, rule, (offset_us, drift))
+            Site::new(hand, settings, (offset_us, drift))
         });
         Self {
             sites,
             ways,
             group: GroupDelay::new(settings),
-            measured: [DelayEstimator::new(rule), DelayEstimator::new(rule)],
+            measured: Default::default(),
             schedule: DelaySchedule::new(settings),
             predictor: None,
             parcels: VecDeque::new(),
@@ -316,9 +313,8 @@ impl Simulation {
                     return;
                 }
                 if let Some(newest) = samples.last() {
-                    let in_force = self.schedule.delay_at(server_now);
                     let arrival = MotionArrival::on_time(newest.time, server_now);
-                    self.measured[k].handle_arrival(arrival, in_force);
+                    self.measured[k].handle_arrival(arrival);
                 }
                 let parcel = match &mut self.predictor {
                     None => Some(Parcel::SamplesDown(samples)),

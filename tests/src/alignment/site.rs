@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use palpate_protocol::clock::{ClockEstimate, ClockMap};
-use palpate_protocol::compensation::{DelayEstimator, DelayRule, DelaySchedule, MotionArrival};
+use palpate_protocol::compensation::{DelayEstimator, DelaySchedule, MotionArrival};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::timeline::{Shown, Timeline};
 use palpate_protocol::{ClientTime, ServerTime, Span, ToolSample};
@@ -31,13 +31,12 @@ impl Site {
     pub(super) fn new(
         hand: Arc<dyn Hand>,
         settings: &CompensationSettings,
-        rule: DelayRule,
         (offset_us, drift): (i64, f64),
     ) -> Self {
         Self {
             hand,
             clock: ClockEstimate::new(),
-            estimator: DelayEstimator::new(rule),
+            estimator: DelayEstimator::default(),
             schedule: DelaySchedule::new(settings),
             views: [Timeline::default(), Timeline::default()],
             batch: Vec::new(),
@@ -84,9 +83,8 @@ impl Site {
         let (Some(newest), Some(now)) = (samples.last(), self.server_time(true_us)) else {
             return;
         };
-        let in_force = self.schedule.delay_at(now);
         let arrival = MotionArrival::on_time(newest.time, now);
-        self.estimator.handle_arrival(arrival, in_force);
+        self.estimator.handle_arrival(arrival);
         for sample in samples {
             self.views[1].insert(*sample);
         }
@@ -98,9 +96,8 @@ impl Site {
         let Some(now) = self.server_time(true_us) else {
             return;
         };
-        let in_force = self.schedule.delay_at(now);
         let arrival = MotionArrival::on_time(from, now);
-        self.estimator.handle_arrival(arrival, in_force);
+        self.estimator.handle_arrival(arrival);
         if self.predicted_from <= Some(from) {
             self.predicted_from = Some(from);
             self.predicted_ahead = Some(sample.time - from);

@@ -5,13 +5,12 @@ use super::way::Law;
 use super::{Alignment, Disagreement, Figures, Mode, SAFE_MM, WARM_UP_US, over};
 use crate::alignment::way::Way;
 use crate::network::Profile;
-use palpate_protocol::compensation::DelayRule;
 use rand_pcg::Pcg64;
 
 /// Half the wire quantisation of a position, mm: an invisible difference.
 const NOTHING_MM: f64 = 0.005;
 
-const ADAPTIVE: Mode = Mode::Adaptive(DelayRule::Bridged);
+const ADAPTIVE: Mode = Mode::Adaptive;
 
 /// Checks that fixed delays below the adaptive mean divided by `factor` are unsafe.
 fn lag_is_within<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(

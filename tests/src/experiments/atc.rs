@@ -12,7 +12,6 @@ use crate::alignment::{Alignment, Figures, Mode};
 use crate::chart::{BLUE, Chart, Line, ORANGE, Panel};
 use crate::hand::{Hand, Recorded};
 use crate::network::Profile;
-use palpate_protocol::compensation::DelayRule;
 use rand_pcg::Pcg64;
 
 /// Default network.
@@ -121,7 +120,7 @@ impl Seen {
                 )
             })?),
             "predicted" => Mode::Predicted,
-            _ => Mode::Adaptive(DelayRule::default()),
+            _ => Mode::Adaptive,
         };
         let moments = alignment.moments(mode);
         let figures = Figures::of(&moments);
@@ -135,8 +134,7 @@ impl Seen {
             figures,
             none_rms_mm: alignment.figures(Mode::None).disagreement_mm.rms,
             equal_lag: alignment.figures(Mode::Fixed(mean_ms)),
-            delayed: (mode == Mode::Predicted)
-                .then(|| alignment.figures(Mode::Adaptive(DelayRule::default()))),
+            delayed: (mode == Mode::Predicted).then(|| alignment.figures(Mode::Adaptive)),
         })
     }
 
@@ -341,7 +339,7 @@ pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
 fn both<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
     alignment: &Alignment<W>,
 ) -> (Vec<Moment>, Vec<Moment>) {
-    let adaptive = Mode::Adaptive(DelayRule::default());
+    let adaptive = Mode::Adaptive;
     (alignment.moments(Mode::None), alignment.moments(adaptive))
 }
 

@@ -6,13 +6,13 @@ use crate::{ClientTime, ServerTime, ToolTrack};
 
 /// Pending datagrams other than motion.
 #[derive(Debug, Default)]
-pub(super) struct Wants {
+pub(super) struct Pending {
     /// A clock probe. It contains its time of departure and is therefore created then.
     pub(super) probe: bool,
     /// A heartbeat: many datagrams are not acknowledged yet.
     pub(super) acknowledgement: bool,
     /// Motion was returned since the last `None`.
-    goes_on: bool,
+    after_motion: bool,
 }
 
 impl ClientSession {
@@ -35,31 +35,31 @@ impl ClientSession {
                 late,
             };
             if let Some(bytes) = self.link.encode(Body::Motion(vec![track]), generated) {
-                self.wants.goes_on = true;
+                self.pending.after_motion = true;
                 return Some(bytes);
             }
         }
         self.link.count_refused_samples(self.motion.take_stale());
         // The collecting batch leaves within milliseconds and shares its packet with these datagrams.
         // Where a few samples remain in every batch, the other datagrams follow the last one sent.
-        let with_motion = std::mem::take(&mut self.wants.goes_on);
+        let with_motion = std::mem::take(&mut self.pending.after_motion);
         if self.motion.collects() && !with_motion {
             return None;
         }
         let rest = self.next_of_rest(now, generated);
-        self.wants.goes_on = with_motion && rest.is_some();
+        self.pending.after_motion = with_motion && rest.is_some();
         rest
     }
 
     /// The next datagram other than motion.
     fn next_of_rest(&mut self, now: ClientTime, generated: ServerTime) -> Option<Vec<u8>> {
-        if std::mem::take(&mut self.wants.probe) {
+        if std::mem::take(&mut self.pending.probe) {
             let probe = self.clock.probe(now);
             if let Some(bytes) = self.link.encode(Body::Probe(probe), generated) {
                 return Some(bytes);
             }
         }
-        if std::mem::take(&mut self.wants.acknowledgement) && self.link.owes_acknowledgement() {
+        if std::mem::take(&mut self.pending.acknowledgement) && self.link.owes_acknowledgement() {
             return self.link.encode(Body::Delays(Vec::new()), generated);
         }
         self.link.pop(generated)

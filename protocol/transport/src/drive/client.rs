@@ -7,6 +7,7 @@ use palpate_protocol::session::{ClientEvent, ClientSession, LinkStats};
 use palpate_protocol::{ClientTime, LocalSample, Span};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
+use tracing::Instrument as _;
 
 use crate::connection::Connection;
 use crate::drive::{DriverStats, Machine, drive};
@@ -58,13 +59,15 @@ pub fn spawn_client(
         clock,
         leaves: false,
     };
-    let task = tokio::spawn(drive(
+    let span = tracing::error_span!("connection", remote = %connection.remote_address());
+    let driver = drive(
         machine,
         connection,
         command_receiver,
         event_sender,
         stats_sender,
-    ));
+    );
+    let task = tokio::spawn(driver.instrument(span));
     ClientHandle {
         commands,
         events,

@@ -111,7 +111,7 @@ pub(crate) async fn drive<M: Machine>(
     let mut buffer = vec![0; READ_BYTES];
     let mut outgoing: Vec<u8> = Vec::new();
     let mut pending: VecDeque<M::Event> = VecDeque::new();
-    let mut shell_is_there = true;
+    let mut has_shell = true;
     let mut stream_is_open = true;
     let mut stats_at = tokio::time::Instant::now();
     let mut closed_at = None;
@@ -136,9 +136,9 @@ pub(crate) async fn drive<M: Machine>(
             let since = closed_at.get_or_insert_with(tokio::time::Instant::now);
             stream_is_open &= since.elapsed() < FAREWELL_MAX;
         }
-        let unsent = !outgoing.is_empty() && stream_is_open;
-        let untold = !pending.is_empty() && !events.is_closed();
-        if machine.is_closed() && !unsent && !untold {
+        let has_bytes = !outgoing.is_empty() && stream_is_open;
+        let has_events = !pending.is_empty() && !events.is_closed();
+        if machine.is_closed() && !has_bytes && !has_events {
             break;
         }
         let wait = machine.until_timeout().unwrap_or(STATS_PERIOD);
@@ -152,9 +152,9 @@ pub(crate) async fn drive<M: Machine>(
             r = recv.read(&mut buffer), if stream_is_open && !machine.is_closed() => {
                 Moved::Read(r.map_err(|e| e.to_string()))
             }
-            r = send.write(&outgoing), if unsent => Moved::Written(r.map_err(|e| e.to_string())),
-            c = commands.next(), if shell_is_there => Moved::Command(c),
-            _ = events.reserve(), if untold => Moved::Room,
+            r = send.write(&outgoing), if has_bytes => Moved::Written(r.map_err(|e| e.to_string())),
+            c = commands.next(), if has_shell => Moved::Command(c),
+            _ = events.reserve(), if has_events => Moved::Room,
             () = tokio::time::sleep(wait) => Moved::Time,
         };
         watch.wake(since(began));
@@ -188,7 +188,7 @@ pub(crate) async fn drive<M: Machine>(
                 }
             }
             Moved::Command(command) => {
-                shell_is_there = command.is_some();
+                has_shell = command.is_some();
                 machine.handle_command(command);
                 while let Some(command) = commands.try_next() {
                     machine.handle_command(Some(command));

@@ -11,6 +11,7 @@ use std::time::Duration;
 use palpate_protocol::session::{LinkStats, PeerDatagram, PeerEvent, PeerMessage, ServerPeer};
 use palpate_protocol::{ServerTime, Span};
 use tokio::sync::{mpsc, watch};
+use tracing::Instrument as _;
 
 use crate::connection::Connection;
 use crate::drive::{Commands, DriverStats, Machine, drive};
@@ -104,7 +105,10 @@ pub fn spawn_peer(
         datagrams: datagram_receiver,
         overflow: overflow_receiver,
     };
-    tokio::spawn(drive(machine, connection, source, inbox, stats_sender));
+    let remote = connection.remote_address();
+    let span = tracing::error_span!("connection", peer = id.0, %remote);
+    let driver = drive(machine, connection, source, inbox, stats_sender);
+    tokio::spawn(driver.instrument(span));
     PeerHandle {
         id,
         reliable,
@@ -196,7 +200,7 @@ impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
                 .send(&PeerMessage::Goodbye("the session was closed".into()), now),
         };
         if let Err(error) = result {
-            tracing::warn!(peer = self.id.0, %error, "a peer was closed");
+            tracing::warn!(%error, "a peer was closed");
         }
     }
 

@@ -41,7 +41,8 @@ impl CpuTime {
     }
 
     /// Seconds of CPU time in a class.
-    pub fn seconds_of(&self, class: ThreadClass) -> f64 {
+    #[cfg(test)]
+    pub(super) fn seconds_of(&self, class: ThreadClass) -> f64 {
         self.classes_ns
             .get(&class)
             .map_or(0.0, |ns| *ns as f64 * 1e-9)

@@ -5,10 +5,10 @@
 //! longer round trip (our own rule):
 //!
 //! ```text
-//! up(x)      age of x's samples on arrival at the server, measured by the server
-//! down(x)    reported requirement of x, less the largest up of the other participants
-//! pair(x,y)  max( up(x) + down(y), up(y) + down(x) )
-//! need(x)    max( up(x), pair(x,y) for every y with a shorter up + down than x )
+//! uplink(x)       age of x's samples on arrival at the server, measured by the server
+//! downlink(x)     reported requirement of x, less the largest uplink of the other participants
+//! pair(x,y)       max( uplink(x) + downlink(y), uplink(y) + downlink(x) )
+//! requirement(x)  max( uplink(x), pair(x,y) for every y with a shorter uplink + downlink than x )
 //! ```
 //!
 //! All ages exclude stalls of machines ([`palpate_protocol::lateness`]): a stalled machine is no reason to demote.
@@ -16,7 +16,7 @@
 //! plus four deviations. A demoted participant may receive no motion and so report nothing: its downlink is then the
 //! last known one or the current uplink, whichever is shorter.
 //!
-//! A clock error lengthens up by the amount by which it shortens down, so it changes no sum.
+//! A clock error lengthens the uplink by the amount by which it shortens the downlink, so it changes no sum.
 
 use palpate_protocol::compensation::{REPORT_OLD, Verdict};
 use palpate_protocol::operation::{CompensationMode, OperationKind};
@@ -27,37 +27,38 @@ use super::Room;
 use crate::participant::Participant;
 
 /// Time between two decisions: the period of delay reports.
-const JUDGE_PERIOD: Span = Span::from_millis(250);
+const DECISION_PERIOD: Span = Span::from_millis(250);
 
 /// After a demotion, delay reports of all participants are ignored for this time, because they still include the
 /// demoted one.
-const STILL_SPOKEN_OF: Span = Span::from_millis(1000);
+const REPORTS_IGNORED: Span = Span::from_millis(1000);
 
 /// Uplink and downlink of a participant, µs.
 #[derive(Debug, Clone, Copy)]
-struct Way {
+struct PathDelay {
     who: ParticipantId,
-    up: i64,
-    down: i64,
+    uplink: i64,
+    downlink: i64,
     is_demoted: bool,
     /// Whether any delay was measured. An unknown path counts as zero and is not judged.
     is_known: bool,
 }
 
-impl Way {
+impl PathDelay {
     /// Whether the requirement of the pair counts for this participant: the longer round trip, of equal ones the
     /// participant that joined later.
     fn answers_for(&self, other: &Self) -> bool {
-        self.is_demoted || (self.up + self.down, self.who) > (other.up + other.down, other.who)
+        self.is_demoted
+            || (self.uplink + self.downlink, self.who) > (other.uplink + other.downlink, other.who)
     }
 
     /// Delay requirement that counts for this participant, µs.
-    fn need(&self, all: &[Self]) -> i64 {
+    fn requirement(&self, all: &[Self]) -> i64 {
         let others = all
             .iter()
             .filter(|y| y.who != self.who && !y.is_demoted && self.answers_for(y));
-        let pairs = others.map(|y| (self.up + y.down).max(y.up + self.down));
-        pairs.max().unwrap_or(0).max(self.up)
+        let pairs = others.map(|y| (self.uplink + y.downlink).max(y.uplink + self.downlink));
+        pairs.max().unwrap_or(0).max(self.uplink)
     }
 }
 
@@ -79,17 +80,17 @@ impl Room {
             return;
         };
         participant.report = Some((now, report));
-        if !participant.demotion.is_demoted() && now >= self.heard_from {
+        if !participant.demotion.is_demoted() && now >= self.reports_count_from {
             self.group.handle_report(who, report);
         }
     }
 
     /// Demotes and restores participants.
-    pub(super) fn judge(&mut self, now: ServerTime) {
-        if now < self.next_judgement {
+    pub(super) fn decide_demotions(&mut self, now: ServerTime) {
+        if now < self.next_demotion_decision {
             return;
         }
-        self.next_judgement = now + JUDGE_PERIOD;
+        self.next_demotion_decision = now + DECISION_PERIOD;
         self.forget_old_reports(now);
         let is_adaptive = matches!(
             self.config.compensation.mode,
@@ -99,19 +100,19 @@ impl Room {
         if !is_adaptive {
             return;
         }
-        let ways = self.ways();
-        for way in ways.iter().filter(|w| w.is_known) {
-            let Some(participant) = self.participants.get_mut(&way.who) else {
+        let path_delays = self.path_delays();
+        for path in path_delays.iter().filter(|w| w.is_known) {
+            let Some(participant) = self.participants.get_mut(&path.who) else {
                 continue;
             };
             // A full log takes no demotion, but still restores demoted participants.
             if !participant.demotion.is_demoted() && !self.log.takes_work() {
                 continue;
             }
-            let need = Span::from_micros(way.need(&ways));
-            match participant.demotion.handle_wanted(need, now) {
-                Some(Verdict::Demote { wanted, cap }) => self.demote(way.who, wanted, cap, now),
-                Some(Verdict::Restore) => self.restore(way.who, now),
+            let requirement = Span::from_micros(path.requirement(&path_delays));
+            match participant.demotion.handle_wanted(requirement, now) {
+                Some(Verdict::Demote { wanted, cap }) => self.demote(path.who, wanted, cap, now),
+                Some(Verdict::Restore) => self.restore(path.who, now),
                 None => {}
             }
         }
@@ -131,47 +132,47 @@ impl Room {
     }
 
     /// Uplinks and downlinks of the connected participants.
-    fn ways(&mut self) -> Vec<Way> {
+    fn path_delays(&mut self) -> Vec<PathDelay> {
         let here = || self.participants.values().filter(|p| p.peer().is_some());
-        let up = |p: &Participant| p.delay.report().map(|r| wanted_now(&r, p));
-        let mut ways = Vec::new();
+        let uplink = |p: &Participant| p.delay.report().map(|r| wanted_now(&r, p));
+        let mut path_delays = Vec::new();
         for p in here() {
             let wanted = p.report.map(|(_, r)| wanted_now(&r, p));
-            let heard = here().filter(|y| y.id != p.id && !y.demotion.is_demoted());
-            let longest = heard.filter_map(up).max().unwrap_or(0);
-            let own_up = up(p).unwrap_or(0);
-            let down = match wanted {
+            let active = here().filter(|y| y.id != p.id && !y.demotion.is_demoted());
+            let longest = active.filter_map(uplink).max().unwrap_or(0);
+            let own_uplink = uplink(p).unwrap_or(0);
+            let downlink = match wanted {
                 Some(wanted) => (wanted - longest).max(0),
-                None if p.demotion.is_demoted() => p.down_us.min(own_up),
+                None if p.demotion.is_demoted() => p.downlink_us.min(own_uplink),
                 None => 0,
             };
-            ways.push(Way {
+            path_delays.push(PathDelay {
                 who: p.id,
-                up: own_up,
-                down,
+                uplink: own_uplink,
+                downlink,
                 is_demoted: p.demotion.is_demoted(),
-                is_known: up(p).is_some() || wanted.is_some(),
+                is_known: uplink(p).is_some() || wanted.is_some(),
             });
         }
-        for way in &ways {
-            if let Some(p) = self.participants.get_mut(&way.who)
+        for path in &path_delays {
+            if let Some(p) = self.participants.get_mut(&path.who)
                 && p.report.is_some()
             {
-                p.down_us = way.down;
+                p.downlink_us = path.downlink;
             }
         }
-        ways
+        path_delays
     }
 
     fn demote(&mut self, who: ParticipantId, wanted: Span, cap: Span, now: ServerTime) {
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
         };
-        participant.lift(now);
+        participant.deactivate(now);
         self.fan_out.remove(who);
         self.demotions += 1;
-        // Reports on the way still include the demoted participant.
-        self.heard_from = now + STILL_SPOKEN_OF;
+        // Reports in flight still include the demoted participant.
+        self.reports_count_from = now + REPORTS_IGNORED;
         let ids: Vec<ParticipantId> = self.participants.keys().copied().collect();
         for id in ids {
             self.group.remove(id);
@@ -189,7 +190,7 @@ impl Room {
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
         };
-        participant.set_down(now);
+        participant.activate(now);
         let kind = OperationKind::Restored { participant: who };
         self.append(ParticipantId::SERVER, kind, now);
     }

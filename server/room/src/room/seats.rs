@@ -11,7 +11,7 @@ use palpate_protocol::{OperationId, ParticipantId, ProtocolError, ServerTime};
 use super::Room;
 use crate::PeerKey;
 use crate::config::SEATS_MAX;
-use crate::participant::{Participant, Place};
+use crate::participant::{Participant, Presence};
 
 /// Maximum resumptions of a seat. Each adds two operations to the log, which every new client receives. A connection
 /// that breaks once a minute lasts for more than an hour and a half.
@@ -21,8 +21,8 @@ impl Room {
     pub(super) fn handle_hello(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
         let result = match hello.resume {
             Some(resume) => self
-                .admit_again(&hello, &resume, now)
-                .map(|()| self.take_again(peer, &hello, &resume, now)),
+                .check_resumption(&hello, &resume, now)
+                .map(|()| self.resume_seat(peer, &hello, &resume, now)),
             None => self.admit(&hello).map(|()| self.seat(peer, hello, now)),
         };
         if let Err(reason) = result {
@@ -38,10 +38,12 @@ impl Room {
             return reason.to_string();
         };
         let mut seats = self.participants.values();
-        let until = seats.find(|p| p.name == *name).and_then(|p| match p.place {
-            Place::Away { until } => Some(until),
-            Place::Here(_) => None,
-        });
+        let until = seats
+            .find(|p| p.name == *name)
+            .and_then(|p| match p.presence {
+                Presence::Disconnected { until } => Some(until),
+                Presence::Connected(_) => None,
+            });
         until.map_or_else(
             || reason.to_string(),
             |until| {
@@ -80,7 +82,7 @@ impl Room {
 
     /// Whether a client may resume a seat. A wrong token and an expired seat get the same refusal, so that guessing
     /// reveals nothing.
-    fn admit_again(
+    fn check_resumption(
         &self,
         hello: &Hello,
         resume: &Resume,
@@ -96,7 +98,7 @@ impl Room {
                 && seat.role == hello.role
                 && seat.subscription == hello.subscription
                 && seat.resumed < RESUMES_MAX
-                && !seat.is_given_up(now)
+                && !seat.is_expired(now)
         });
         if is_theirs && !self.log.takes_seat() {
             Err(RefusalReason::LogFull)
@@ -123,7 +125,7 @@ impl Room {
         participant.subscription = hello.subscription;
         let first = OperationId(0);
         let welcome = self.welcome(&participant, self.config.compensation, first, now);
-        self.greet(peer, welcome);
+        self.send_welcome(peer, welcome);
         self.participants.insert(id, participant);
         self.by_peer.insert(peer, id);
         let kind = OperationKind::Joined {
@@ -137,7 +139,7 @@ impl Room {
     }
 
     /// Resumes a seat with its number, role and tool, and sends the missing part of the log.
-    fn take_again(&mut self, peer: PeerKey, hello: &Hello, resume: &Resume, now: ServerTime) {
+    fn resume_seat(&mut self, peer: PeerKey, hello: &Hello, resume: &Resume, now: ServerTime) {
         let id = resume.participant;
         let first = self.continues_at(resume);
         let Some(seat) = self.participants.get_mut(&id) else {
@@ -145,11 +147,11 @@ impl Room {
         };
         seat.resumed += 1;
         seat.requests.next_connection();
-        let before = std::mem::replace(&mut seat.place, Place::Here(peer));
-        if !seat.demotion.is_demoted() && seat.is_lifted() {
-            seat.set_down(now);
+        let before = std::mem::replace(&mut seat.presence, Presence::Connected(peer));
+        if !seat.demotion.is_demoted() && seat.is_inactive() {
+            seat.activate(now);
         }
-        if let Place::Here(old) = before {
+        if let Presence::Connected(old) = before {
             // The old connection is dead but was not detected as lost. The tool therefore stays in use at the server
             // and all clients, with its samples and delay estimate. The later end of the old connection is ignored.
             self.by_peer.remove(&old);
@@ -165,17 +167,17 @@ impl Room {
         }
         if let Some(seat) = self.participants.get(&id) {
             let welcome = self.welcome(seat, compensation, first, now);
-            self.greet(peer, welcome);
+            self.send_welcome(peer, welcome);
         }
         self.by_peer.insert(peer, id);
-        self.append(id, OperationKind::Back { participant: id }, now);
+        self.append(id, OperationKind::Reconnected { participant: id }, now);
         if first == OperationId(0) {
-            self.take_tool_of(id, hello, now);
+            self.update_tool(id, hello, now);
         }
     }
 
     /// A restarted client may hold another tool than before.
-    fn take_tool_of(&mut self, id: ParticipantId, hello: &Hello, now: ServerTime) {
+    fn update_tool(&mut self, id: ParticipantId, hello: &Hello, now: ServerTime) {
         let Some(seat) = self.participants.get_mut(&id) else {
             return;
         };
@@ -242,7 +244,7 @@ impl Room {
         }
     }
 
-    fn greet(&mut self, peer: PeerKey, welcome: Welcome) {
+    fn send_welcome(&mut self, peer: PeerKey, welcome: Welcome) {
         let first = usize::try_from(welcome.first_operation.0).unwrap_or(usize::MAX);
         self.send(peer, PeerMessage::Welcome(Box::new(welcome)));
         let missing = self.log.since(first).to_vec();
@@ -259,40 +261,42 @@ impl Room {
         now: ServerTime,
     ) {
         match reason {
-            CloseReason::Left => self.give_up(who, LeaveReason::Left, now),
+            CloseReason::Left => self.remove_seat(who, LeaveReason::Left, now),
             // The client received too slowly; its own messages were valid.
             CloseReason::Violation(ProtocolError::Backlog { .. }) => {
-                self.give_up(who, LeaveReason::TooSlow, now);
+                self.remove_seat(who, LeaveReason::TooSlow, now);
             }
-            CloseReason::Violation(_) => self.give_up(who, LeaveReason::Violation, now),
+            CloseReason::Violation(_) => self.remove_seat(who, LeaveReason::Violation, now),
             CloseReason::Refused(_) | CloseReason::Goodbye(_) => {
-                self.give_up(who, LeaveReason::Removed, now);
+                self.remove_seat(who, LeaveReason::Removed, now);
             }
             CloseReason::Silent(_)
             | CloseReason::HandshakeTimeout
-            | CloseReason::ConnectionLost(_) => self.keep(who, now),
+            | CloseReason::ConnectionLost(_) => self.keep_seat(who, now),
         }
     }
 
-    fn keep(&mut self, who: ParticipantId, now: ServerTime) {
+    fn keep_seat(&mut self, who: ParticipantId, now: ServerTime) {
         let Some(seat) = self.participants.get_mut(&who) else {
             return;
         };
         let until = now + SEAT_KEPT;
-        if let Place::Here(peer) = std::mem::replace(&mut seat.place, Place::Away { until }) {
+        if let Presence::Connected(peer) =
+            std::mem::replace(&mut seat.presence, Presence::Disconnected { until })
+        {
             self.by_peer.remove(&peer);
         }
-        seat.lose(now);
+        seat.disconnect(now);
         self.fan_out.remove(who);
         self.group.remove(who);
-        self.append(who, OperationKind::Away { participant: who }, now);
+        self.append(who, OperationKind::Disconnected { participant: who }, now);
     }
 
-    fn give_up(&mut self, who: ParticipantId, reason: LeaveReason, now: ServerTime) {
+    fn remove_seat(&mut self, who: ParticipantId, reason: LeaveReason, now: ServerTime) {
         let Some(gone) = self.participants.remove(&who) else {
             return;
         };
-        if let Place::Here(peer) = gone.place {
+        if let Presence::Connected(peer) = gone.presence {
             self.by_peer.remove(&peer);
         }
         self.fan_out.remove(who);
@@ -305,15 +309,15 @@ impl Room {
     }
 
     /// Gives up the kept seats whose time is over.
-    pub(super) fn give_up_kept(&mut self, now: ServerTime) {
+    pub(super) fn remove_expired_seats(&mut self, now: ServerTime) {
         let over: Vec<ParticipantId> = self
             .participants
             .values()
-            .filter(|p| p.is_given_up(now))
+            .filter(|p| p.is_expired(now))
             .map(|p| p.id)
             .collect();
         for who in over {
-            self.give_up(who, LeaveReason::Silent, now);
+            self.remove_seat(who, LeaveReason::Silent, now);
         }
     }
 }

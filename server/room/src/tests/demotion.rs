@@ -2,9 +2,11 @@
 
 use palpate_protocol::ParticipantId;
 use palpate_protocol::compensation::{DEMOTE_AFTER, RESTORE_AFTER};
+use palpate_protocol::operation::CutStroke;
 use palpate_protocol::request::DelayReport;
 
 use super::*;
+use crate::{LoggedCut, TissueReport};
 
 const CAP_MS: i64 = 400;
 
@@ -27,7 +29,7 @@ struct Session {
 }
 
 impl Session {
-    fn of(ways: &[(i64, i64)]) -> Self {
+    fn of(path_delays: &[(i64, i64)]) -> Self {
         let mut room = room_with(
             8,
             0,
@@ -36,7 +38,7 @@ impl Session {
             },
         );
         let mut movers = Vec::new();
-        for (i, &(up_ms, down_ms)) in ways.iter().enumerate() {
+        for (i, &(up_ms, down_ms)) in path_delays.iter().enumerate() {
             let peer = PeerKey(i as u64 + 1);
             let name = format!("p{}", i + 1);
             room.handle_event(peer, hello(&name, Role::Trainee, ToolKind::Scalpel), ms(0));
@@ -57,26 +59,26 @@ impl Session {
     }
 
     /// Age of the other active participants' samples on arrival at `i`.
-    fn needed_by(&self, i: usize) -> Option<i64> {
-        let lifted = self.lifted();
+    fn requirement_of(&self, i: usize) -> Option<i64> {
+        let demoted = self.demoted();
         let others = self.movers.iter().enumerate().filter(|(j, m)| {
             let who = ParticipantId(m.peer.0 as u16);
-            *j != i && !lifted.contains(&who)
+            *j != i && !demoted.contains(&who)
         });
         let up = others.map(|(_, m)| m.up_ms).max()?;
         Some(up + self.movers[i].down_ms)
     }
 
-    fn lifted(&self) -> Vec<ParticipantId> {
-        let mut lifted = Vec::new();
+    fn demoted(&self) -> Vec<ParticipantId> {
+        let mut demoted = Vec::new();
         for operation in &self.operations {
             match operation.kind {
-                OperationKind::Demoted { participant, .. } => lifted.push(participant),
-                OperationKind::Restored { participant } => lifted.retain(|p| *p != participant),
+                OperationKind::Demoted { participant, .. } => demoted.push(participant),
+                OperationKind::Restored { participant } => demoted.retain(|p| *p != participant),
                 _ => {}
             }
         }
-        lifted
+        demoted
     }
 
     fn run_until(&mut self, until_ms: i64) {
@@ -91,7 +93,7 @@ impl Session {
                     ms(now),
                 );
                 if now % 252 == 0
-                    && let Some(needed_ms) = self.needed_by(i)
+                    && let Some(needed_ms) = self.requirement_of(i)
                 {
                     let report = DelayReport {
                         mean_us: needed_ms as u32 * 1000,
@@ -129,10 +131,14 @@ fn participant_beyond_the_cap_is_demoted_and_no_longer_raises_the_delay() {
     assert_eq!(s.tools, 3);
     (s.movers[2].up_ms, s.movers[2].down_ms) = (500, 500);
     s.run_until(2000 + DEMOTE_AFTER.as_micros() / 1000 - 300);
-    assert_eq!(s.lifted(), [], "a short burst does not demote");
+    assert_eq!(s.demoted(), [], "a short burst does not demote");
     assert!(s.target_ms().unwrap() > 300, "the group delay covers it");
     s.run_until(7000);
-    assert_eq!(s.lifted(), [ParticipantId(3)], "the slow participant alone");
+    assert_eq!(
+        s.demoted(),
+        [ParticipantId(3)],
+        "the slow participant alone"
+    );
     assert!(s.target_ms().unwrap() < 100, "{:?} ms", s.target_ms());
     s.run_until(9000);
     assert_eq!(s.tools, 2, "the demoted tool does not press");
@@ -147,25 +153,20 @@ fn participant_beyond_the_cap_is_demoted_and_no_longer_raises_the_delay() {
         .handle_event(PeerKey(3), pressing_at(8000, 8004, ms(9001)), ms(9001));
     s.room.handle_tick(ms(9020), &mut || true);
     assert!(!motion(&mut s.room), "its motion is not relayed");
-    for kind in [
-        stroke(),
-        RequestKind::SetTool(ToolDescription::probe(0.003)),
-    ] {
-        let id = RequestId(1);
-        let request = PeerEvent::Request(Request { id, kind });
-        s.room.handle_event(PeerKey(3), request, ms(9021));
-    }
+    let request = Request {
+        id: RequestId(1),
+        kind: stroke(),
+    };
+    s.room
+        .handle_event(PeerKey(3), PeerEvent::Request(request), ms(9021));
     s.run_until(9100);
-    assert_eq!(
-        s.refusals,
-        [RequestRefusal::Demoted, RequestRefusal::Demoted]
-    );
+    assert_eq!(s.refusals, [RequestRefusal::Demoted]);
     (s.movers[2].up_ms, s.movers[2].down_ms) = (30, 30);
     let recovered = s.now_ms;
     s.run_until(recovered + RESTORE_AFTER.as_micros() / 1000 - 500);
-    assert_eq!(s.lifted(), [ParticipantId(3)]);
+    assert_eq!(s.demoted(), [ParticipantId(3)]);
     s.run_until(recovered + RESTORE_AFTER.as_micros() / 1000 + 6000);
-    assert_eq!(s.lifted(), []);
+    assert_eq!(s.demoted(), []);
     assert_eq!((s.tools, s.room.demotion_count()), (3, 1));
     assert_eq!(s.room.participant_count(), 3, "in the same seat");
 }
@@ -174,25 +175,25 @@ fn participant_beyond_the_cap_is_demoted_and_no_longer_raises_the_delay() {
 fn all_slow_participants_are_demoted_and_no_fast_one() {
     let mut s = Session::of(&[(20, 20), (450, 450), (20, 20), (300, 300)]);
     s.run_until(15_000);
-    let mut lifted = s.lifted();
-    lifted.sort_unstable();
+    let mut demoted = s.demoted();
+    demoted.sort_unstable();
     assert_eq!(
-        lifted,
+        demoted,
         [ParticipantId(2)],
         "300 ms and 20 ms are below the cap together"
     );
     s.movers[3].up_ms = 600;
     s.run_until(30_000);
-    lifted = s.lifted();
-    lifted.sort_unstable();
-    assert_eq!(lifted, [ParticipantId(2), ParticipantId(4)]);
+    demoted = s.demoted();
+    demoted.sort_unstable();
+    assert_eq!(demoted, [ParticipantId(2), ParticipantId(4)]);
 }
 
 #[test]
 fn of_two_equally_slow_participants_the_later_one_is_demoted() {
     let mut s = Session::of(&[(240, 240), (240, 240), (20, 20)]);
     s.run_until(10_000);
-    assert_eq!(s.lifted(), [ParticipantId(2)]);
+    assert_eq!(s.demoted(), [ParticipantId(2)]);
 }
 
 #[test]
@@ -217,26 +218,38 @@ fn fixed_delay_demotes_no_participant() {
 fn full_log_takes_no_demotion_but_restores_demoted_participants() {
     let mut s = Session::of(&[(30, 30), (30, 30), (500, 500)]);
     s.run_until(6000);
-    assert_eq!(s.lifted(), [ParticipantId(3)]);
-    // This test has no rate limit; the session machine applies it.
-    for id in 1..=16_100 {
-        let request = Request {
-            id: RequestId(id),
-            kind: RequestKind::SetTool(ToolDescription::scalpel(0.008, 0.02)),
+    assert_eq!(s.demoted(), [ParticipantId(3)]);
+    while s.room.operation_count() < 16_000 {
+        let cut = TissueReport::Cut {
+            author: ParticipantId(1),
+            request: RequestId(1),
+            result: Ok(LoggedCut {
+                stroke: CutStroke {
+                    points: Vec::new(),
+                    width_m: 0.0,
+                },
+                version: 1,
+                hash: TopologyHash(1),
+            }),
         };
-        s.room
-            .handle_event(PeerKey(1), PeerEvent::Request(request), ms(6000));
+        s.room.handle_report(cut, ms(6000));
     }
+    let request = Request {
+        id: RequestId(2),
+        kind: stroke(),
+    };
+    s.room
+        .handle_event(PeerKey(1), PeerEvent::Request(request), ms(6000));
     s.run_until(6100);
     assert_eq!(s.refusals.last(), Some(&RequestRefusal::LogFull));
     assert_eq!(s.room.operation_count(), 16_000);
     (s.movers[2].up_ms, s.movers[2].down_ms) = (30, 30);
     let recovered = s.now_ms;
     s.run_until(recovered + RESTORE_AFTER.as_micros() / 1000 + 6000);
-    assert_eq!(s.lifted(), [], "the demoted participant is restored");
+    assert_eq!(s.demoted(), [], "the demoted participant is restored");
     s.movers[1].up_ms = 900;
     s.run_until(s.now_ms + 2 * DEMOTE_AFTER.as_micros() / 1000);
-    assert_eq!(s.lifted(), []);
+    assert_eq!(s.demoted(), []);
     let newcomer = hello("eve", Role::Trainee, ToolKind::Probe);
     s.room.handle_event(PeerKey(9), newcomer, ms(s.now_ms));
     let outputs = drain(&mut s.room);
@@ -249,15 +262,15 @@ fn full_log_takes_no_demotion_but_restores_demoted_participants() {
 fn constant_delays_do_not_alternate_demotion_and_restoration() {
     // Uplink and downlink are each below the cap, but their sum is not. If both participants are demoted, neither
     // receives motion.
-    for ways in [
+    for path_delays in [
         &[(304, 304), (304, 304)][..],
         &[(350, 250), (340, 260)],
         &[(20, 500), (15, 20)],
     ] {
-        let mut session = Session::of(ways);
+        let mut session = Session::of(path_delays);
         session.run_until(60_000);
-        assert_eq!(session.lifted().len(), 1, "{ways:?}");
-        assert_eq!(session.room.demotion_count(), 1, "{ways:?}");
+        assert_eq!(session.demoted().len(), 1, "{path_delays:?}");
+        assert_eq!(session.room.demotion_count(), 1, "{path_delays:?}");
     }
 }
 
@@ -265,16 +278,16 @@ fn constant_delays_do_not_alternate_demotion_and_restoration() {
 fn two_demoted_participants_without_motion_are_not_both_restored() {
     let mut session = Session::of(&[(304, 304), (304, 304)]);
     session.run_until(8000);
-    assert_eq!(session.lifted(), [ParticipantId(2)]);
+    assert_eq!(session.demoted(), [ParticipantId(2)]);
     (session.movers[0].up_ms, session.movers[0].down_ms) = (450, 450);
     session.run_until(14_000);
     assert_eq!(
-        session.lifted().len(),
+        session.demoted().len(),
         2,
         "no participant receives motion now"
     );
     (session.movers[0].up_ms, session.movers[0].down_ms) = (304, 304);
     session.run_until(80_000);
-    assert_eq!(session.lifted().len(), 1, "only one of the two");
+    assert_eq!(session.demoted().len(), 1, "only one of the two");
     assert_eq!(session.room.demotion_count(), 2);
 }

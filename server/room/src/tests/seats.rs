@@ -81,7 +81,7 @@ fn reconnect_keeps_id_role_and_tool_and_sends_the_missing_log() {
     room.handle_event(PeerKey(1), lost(), ms(1000));
     let to_bob = operations(&drain(&mut room), PeerKey(2));
     assert!(
-        matches!(to_bob[..], [ref o] if o.kind == OperationKind::Away { participant: ParticipantId(1) })
+        matches!(to_bob[..], [ref o] if o.kind == OperationKind::Disconnected { participant: ParticipantId(1) })
     );
     room.handle_event(PeerKey(3), back("ann", seat), ms(31_000));
     let outputs = drain(&mut room);
@@ -100,7 +100,7 @@ fn reconnect_keeps_id_role_and_tool_and_sends_the_missing_log() {
     );
     let to_bob = operations(&outputs, PeerKey(2));
     assert!(
-        matches!(to_bob[..], [ref o] if o.kind == OperationKind::Back { participant: ParticipantId(1) })
+        matches!(to_bob[..], [ref o] if o.kind == OperationKind::Reconnected { participant: ParticipantId(1) })
     );
     cut_as(&mut room, PeerKey(3), 2, ms(31_100));
     assert!(room.topology().0 >= 1, "the resumed seat cuts");

@@ -8,7 +8,7 @@ use super::*;
 
 const DOCUMENT: &str = include_str!("../../../../protocol/STATES.md");
 
-const STATES: [&str; 4] = ["Here", "Watching", "Away", "Gone"];
+const STATES: [&str; 4] = ["Connected", "Demoted", "Disconnected", "Removed"];
 
 const ANN: ParticipantId = ParticipantId(1);
 
@@ -22,7 +22,7 @@ fn seat() -> Resume {
     }
 }
 
-fn back(resume: Resume) -> PeerEvent {
+fn resume_hello(resume: Resume) -> PeerEvent {
     let PeerEvent::Hello(hello) = hello("ann", Role::Trainee, ToolKind::Probe) else {
         unreachable!()
     };
@@ -37,26 +37,34 @@ fn back(resume: Resume) -> PeerEvent {
 fn state_of(room: &mut SimulatedRoom, log: &mut Vec<Arc<Operation>>) -> &'static str {
     log.extend(operations(&drain(room), PeerKey(2)));
     let of_ann = |o: &Arc<Operation>| match &o.kind {
-        OperationKind::Joined { participant, .. } | OperationKind::Back { participant } => {
-            (*participant == ANN).then_some("Here")
+        OperationKind::Joined { participant, .. } | OperationKind::Reconnected { participant } => {
+            (*participant == ANN).then_some("Connected")
         }
-        OperationKind::Away { participant } => (*participant == ANN).then_some("Away"),
-        OperationKind::Left { participant, .. } => (*participant == ANN).then_some("Gone"),
+        OperationKind::Disconnected { participant } => {
+            (*participant == ANN).then_some("Disconnected")
+        }
+        OperationKind::Left { participant, .. } => (*participant == ANN).then_some("Removed"),
         _ => None,
     };
-    let is_lifted = |o: &Arc<Operation>| match o.kind {
+    let is_demoted = |o: &Arc<Operation>| match o.kind {
         OperationKind::Demoted { participant, .. } => (participant == ANN).then_some(true),
         OperationKind::Restored { participant } => (participant == ANN).then_some(false),
         _ => None,
     };
     match log.iter().rev().find_map(of_ann).unwrap() {
-        "Here" if log.iter().rev().find_map(is_lifted) == Some(true) => "Watching",
+        "Connected" if log.iter().rev().find_map(is_demoted) == Some(true) => "Demoted",
         other => other,
     }
 }
 
 /// Ann reports this delay requirement for some seconds. Returns the time at the end.
-fn need(room: &mut SimulatedRoom, peer: PeerKey, wanted_ms: u32, from: i64, seconds: i64) -> i64 {
+fn report_requirement(
+    room: &mut SimulatedRoom,
+    peer: PeerKey,
+    wanted_ms: u32,
+    from: i64,
+    seconds: i64,
+) -> i64 {
     let until = from + seconds * 1000;
     for t in (from..=until).step_by(250) {
         let report = DelayReport {
@@ -80,38 +88,38 @@ fn run(from: &str, what: &str) -> &'static str {
     let bob = hello("bob", Role::Spectator, ToolKind::Probe);
     room.handle_event(PeerKey(2), bob, ms(0));
     match from {
-        "Watching" => now = need(&mut room, PeerKey(1), 600, 0, 4),
-        "Away" => room.handle_event(PeerKey(1), lost(), ms(0)),
-        "Gone" => room.handle_event(PeerKey(1), PeerEvent::Closed(CloseReason::Left), ms(0)),
+        "Demoted" => now = report_requirement(&mut room, PeerKey(1), 600, 0, 4),
+        "Disconnected" => room.handle_event(PeerKey(1), lost(), ms(0)),
+        "Removed" => room.handle_event(PeerKey(1), PeerEvent::Closed(CloseReason::Left), ms(0)),
         _ => {}
     }
     assert_eq!(state_of(&mut room, &mut log), from);
     let closed = |reason| (PeerKey(1), PeerEvent::Closed(reason));
     let (peer, event) = match what {
         "it leaves" => closed(CloseReason::Left),
-        "it breaks the protocol" => closed(CloseReason::Violation(ProtocolError::NotPalpate {
+        "it violates the protocol" => closed(CloseReason::Violation(ProtocolError::NotPalpate {
             found: [0; 4],
         })),
-        "the server sends it away" => closed(CloseReason::Goodbye("a test".into())),
+        "the server removes it" => closed(CloseReason::Goodbye("a test".into())),
         "the connection is lost" => (PeerKey(1), lost()),
         "silence" => closed(CloseReason::Silent(Span::from_millis(2000))),
-        "it comes back over another connection" => (PeerKey(3), back(seat())),
+        "it reconnects" => (PeerKey(3), resume_hello(seat())),
         "a wrong token" => {
             let token = ResumeToken([2; 16]);
-            (PeerKey(3), back(Resume { token, ..seat() }))
+            (PeerKey(3), resume_hello(Resume { token, ..seat() }))
         }
         "a new participant with its name" => (PeerKey(3), ann),
-        "its network needs too much for 2 s" | "its network needs too much for 4 s" => {
+        "its requirement exceeds the cap for 2 s" | "its requirement exceeds the cap for 4 s" => {
             let seconds = if what.ends_with("2 s") { 2 } else { 4 };
-            need(&mut room, PeerKey(1), 600, now, seconds);
+            report_requirement(&mut room, PeerKey(1), 600, now, seconds);
             return state_of(&mut room, &mut log);
         }
-        "its network is well again for 8 s" | "its network is well again for 11 s" => {
+        "its network has recovered for 8 s" | "its network has recovered for 11 s" => {
             let seconds = if what.ends_with(" 8 s") { 8 } else { 11 };
-            need(&mut room, PeerKey(1), 50, now, seconds);
+            report_requirement(&mut room, PeerKey(1), 50, now, seconds);
             return state_of(&mut room, &mut log);
         }
-        "it asks for a cut" => {
+        "it requests a cut" => {
             let id = RequestId(1);
             let kind = stroke();
             (PeerKey(1), PeerEvent::Request(Request { id, kind }))
