@@ -11,7 +11,8 @@
 //! | use a hand with a known continuous motion | [`hand`] |
 //! | run a server and clients as processes | [`program`], [`session`], [`stress`] |
 //! | compute the forces without a network | [`mod@reference`] |
-//! | simulate a whole session in virtual time | [`simulated_session`] |
+//! | simulate a whole session in virtual time: links, server, participants | [`simulated_session`] |
+//! | simulate the time compensation of two sites | [`alignment`] |
 //! | load a server with all its seats | [`load_test`] |
 //! | compare recordings | [`disagreement`], [`force_error`], [`dropout`], [`delay_figures`], [`cpu`] |
 //! | judge a session | [`criteria`] |

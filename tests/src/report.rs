@@ -199,9 +199,9 @@ impl From<RelayStats> for NetworkReport {
         Self {
             profile: s.profile,
             seed: s.seed,
-            sent: s.sent,
-            dropped: s.dropped,
-            reordered: s.reordered,
+            sent: s.total.sent,
+            dropped: s.total.dropped,
+            reordered: s.total.reordered,
             up: s.up,
             down: s.down,
             loss: s.loss,

@@ -8,12 +8,10 @@
 //! The disagreement is the distance between the positions that the two sites show for one tool at one true
 //! time (Lin 2007, figs 7.26 to 7.28).
 
-pub mod emulated;
 mod motion;
 mod predictor;
-pub mod simulation;
 mod site;
-pub mod way;
+pub mod two_sites;
 
 use std::sync::Arc;
 
@@ -24,9 +22,9 @@ use rand_pcg::Pcg64;
 use serde::Serialize;
 
 use crate::hand::Hand;
+use crate::network::Profile;
 use motion::hands;
-use simulation::{Moment, Simulation};
-use way::{Law, LawfulWay, Way};
+use two_sites::{Moment, TwoSites};
 
 /// Warm-up that is not measured, microseconds: clocks and delays settle.
 pub const WARM_UP_US: i64 = 10_000_000;
@@ -184,31 +182,27 @@ fn percentile(values: &mut [f64], p: f64) -> f64 {
     *values.select_nth_unstable_by(index, f64::total_cmp).1
 }
 
-/// An alignment over paths made by `ways`. Its arguments are the path's index (uplink and downlink of the
-/// first site, then of the second), the path's random generator and the shared generator of the network.
+/// An alignment whose sites both reach the server over the same kind of network.
 #[derive(Clone)]
-pub struct Alignment<W> {
-    /// Creates a path.
-    pub ways: W,
+pub struct Alignment {
+    /// The network of each site.
+    pub profile: Profile,
     /// Seed that reproduces the alignment.
     pub seed: u64,
     /// Recorded motion for both hands with different offsets; `None` selects random motions.
     pub motion: Option<Arc<dyn Hand>>,
 }
 
-/// An alignment over paths with a known delay law.
-pub fn over(law: Law, seed: u64) -> Alignment<impl Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> {
-    let ways = move |_: usize, own: Pcg64, air: Pcg64| -> Box<dyn Way> {
-        Box::new(LawfulWay::new(law, own, air, WARM_UP_US + COUNTED_US))
-    };
-    Alignment {
-        ways,
-        seed,
-        motion: None,
+impl Alignment {
+    /// An alignment with random motions.
+    pub fn new(profile: Profile, seed: u64) -> Self {
+        Self {
+            profile,
+            seed,
+            motion: None,
+        }
     }
-}
 
-impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
     /// All measured moments.
     pub fn moments(&self, mode: Mode) -> Vec<Moment> {
         let mut moments = Vec::with_capacity((COUNTED_US / 1000) as usize);
@@ -220,13 +214,13 @@ impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
     }
 
     /// The session before its start.
-    pub fn simulation(&self, mode: Mode) -> Simulation {
+    pub fn simulation(&self, mode: Mode) -> TwoSites {
+        // Two generators separate the seed of the network from those of hands and clocks.
         let mut rng = Pcg64::seed_from_u64(self.seed ^ 0x70_61_74_68);
-        let air = Pcg64::seed_from_u64(rng.random());
-        let mut way = |number| (self.ways)(number, Pcg64::seed_from_u64(rng.random()), air.clone());
-        let ways = [[way(0), way(1)], [way(2), way(3)]];
+        let network_seed = Pcg64::seed_from_u64(rng.random()).random();
+        let network = (&self.profile, network_seed);
         let hands = hands(self.motion.as_ref(), self.seed);
-        let simulation = Simulation::new(&mode.settings(), ways, hands, self.seed);
+        let simulation = TwoSites::new(&mode.settings(), network, hands, self.seed);
         match mode {
             Mode::Predicted => simulation.predicted(),
             Mode::None | Mode::Fixed(_) | Mode::Adaptive => simulation,
@@ -255,13 +249,8 @@ impl<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>> Alignment<W> {
         Figures::of(&self.moments(mode))
     }
 
-    /// Smallest safe fixed delay in whole milliseconds, if any.
-    pub fn smallest_safe_fixed_ms(&self) -> Option<u32> {
-        self.smallest_safe_fixed_ms_told(&mut |_| {})
-    }
-
-    /// Like [`Self::smallest_safe_fixed_ms`]; `told` receives each tried delay in milliseconds.
-    pub fn smallest_safe_fixed_ms_told(&self, told: &mut dyn FnMut(u32)) -> Option<u32> {
+    /// Smallest safe fixed delay in whole milliseconds, if any; `told` receives each tried delay.
+    pub fn smallest_safe_fixed_ms(&self, told: &mut dyn FnMut(u32)) -> Option<u32> {
         let mut safe = |ms| {
             told(ms);
             self.figures(Mode::Fixed(ms)).is_safe()

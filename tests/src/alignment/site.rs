@@ -6,9 +6,10 @@ use palpate_protocol::clock::{ClockEstimate, ClockMap};
 use palpate_protocol::compensation::{DelayEstimator, DelaySchedule, MotionArrival};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::timeline::{Shown, Timeline};
-use palpate_protocol::{ClientTime, ServerTime, Span, ToolSample};
+use palpate_protocol::{ServerTime, Span, ToolSample};
 
 use crate::hand::Hand;
+use crate::simulated_session::SiteClock;
 
 /// A site of the alignment.
 pub(super) struct Site {
@@ -23,15 +24,15 @@ pub(super) struct Site {
     pub predicted_from: Option<ServerTime>,
     /// Horizon of that prediction.
     pub predicted_ahead: Option<Span>,
-    offset_us: i64,
-    drift: f64,
+    /// The local clock; `clock` estimates the server's time from it.
+    pub own_clock: SiteClock,
 }
 
 impl Site {
     pub(super) fn new(
         hand: Arc<dyn Hand>,
         settings: &CompensationSettings,
-        (offset_us, drift): (i64, f64),
+        own_clock: SiteClock,
     ) -> Self {
         Self {
             hand,
@@ -42,26 +43,14 @@ impl Site {
             batch: Vec::new(),
             predicted_from: None,
             predicted_ahead: None,
-            offset_us,
-            drift,
+            own_clock,
         }
-    }
-
-    /// The local clock at a true time.
-    pub(super) fn clock_at(&self, true_us: i64) -> ClientTime {
-        let drifted = (self.drift * true_us as f64).round() as i64;
-        ClientTime::from_micros(true_us + drifted + self.offset_us)
-    }
-
-    /// Sets the local clock.
-    pub(super) fn set_clock(&mut self, by_us: i64) {
-        self.offset_us += by_us;
     }
 
     /// Estimated server time.
     pub(super) fn server_time(&self, true_us: i64) -> Option<ServerTime> {
         let map: ClockMap = self.clock.map()?;
-        Some(map.to_server(self.clock_at(true_us)))
+        Some(map.to_server(self.own_clock.at(true_us)))
     }
 
     /// Takes a sample of the hand; `None` before the clock lock.

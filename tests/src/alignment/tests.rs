@@ -1,10 +1,8 @@
 //! Laws of adaptive compensation, over seeds, in virtual time.
 
-use super::emulated::emulated;
-use super::way::Law;
-use super::{Alignment, Disagreement, Figures, Mode, SAFE_MM, WARM_UP_US, over};
-use crate::alignment::way::Way;
-use crate::network::Profile;
+use super::{Alignment, COUNTED_US, Disagreement, Figures, Mode, SAFE_MM, WARM_UP_US};
+use crate::network::{Jitter, Link, Profile, Step, Steps};
+use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 /// Half the wire quantisation of a position, mm: an invisible difference.
@@ -12,12 +10,40 @@ const NOTHING_MM: f64 = 0.005;
 
 const ADAPTIVE: Mode = Mode::Adaptive;
 
+/// An alignment over a named network.
+fn over(name: &str, seed: u64) -> Alignment {
+    Alignment::new(Profile::named(name).unwrap(), seed)
+}
+
+/// From site to site 50 ms with a little jitter, and occasional bursts of 120 ms that last 0.1 to 0.4 s on all
+/// links.
+fn over_bursts(seed: u64) -> Alignment {
+    let mut rng = Pcg64::seed_from_u64(seed);
+    let mut delays = Vec::new();
+    let mut at_s = 0.0;
+    while at_s < (WARM_UP_US + COUNTED_US) as f64 * 1e-6 {
+        for (lasts_s, delay_ms) in [(1.0..4.0, 25.0), (0.1..0.4, 60.0)] {
+            delays.push(Step { at_s, delay_ms });
+            at_s += rng.random_range(lasts_s);
+        }
+    }
+    let link = Link {
+        steps: Some(Steps {
+            repeat_s: None,
+            delays,
+        }),
+        jitter: Jitter::Gamma {
+            mean_ms: 0.5,
+            deviation_ms: 0.5,
+        },
+        reorder: true,
+        ..Link::default()
+    };
+    Alignment::new(Profile::both("bursts on all links", link), seed)
+}
+
 /// Checks that fixed delays below the adaptive mean divided by `factor` are unsafe.
-fn lag_is_within<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
-    factor: f64,
-    figures: &Figures,
-    alignment: &Alignment<W>,
-) {
+fn lag_is_within(factor: f64, figures: &Figures, alignment: &Alignment) {
     let shorter_ms = (figures.compensation_ms.mean / factor).ceil() as u32 - 1;
     let fixed = alignment.figures(Mode::Fixed(shorter_ms));
     assert!(
@@ -26,17 +52,14 @@ fn lag_is_within<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
     );
 }
 
-fn times_nearer<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
-    figures: &Figures,
-    alignment: &Alignment<W>,
-) -> f64 {
+fn times_nearer(figures: &Figures, alignment: &Alignment) -> f64 {
     alignment.figures(Mode::None).disagreement_mm.rms / figures.disagreement_mm.rms
 }
 
 #[test]
 fn steady_jitter_costs_at_most_a_tenth_more_lag_than_the_smallest_safe_delay() {
     for seed in 1..=2 {
-        let alignment = over(Law::Gamma, seed);
+        let alignment = over("gamma", seed);
         let figures = alignment.figures(ADAPTIVE);
         assert!(figures.is_safe(), "{seed}: {figures:?}");
         assert!(times_nearer(&figures, &alignment) >= 50.0);
@@ -47,7 +70,7 @@ fn steady_jitter_costs_at_most_a_tenth_more_lag_than_the_smallest_safe_delay() {
 #[test]
 fn delay_steps_cost_less_lag_than_any_safe_fixed_delay() {
     for seed in 1..=2 {
-        let alignment = over(Law::Steps, seed);
+        let alignment = over("steps", seed);
         let figures = alignment.figures(ADAPTIVE);
         assert!(figures.is_safe(), "{seed}: {figures:?}");
         assert!(times_nearer(&figures, &alignment) >= 50.0);
@@ -58,7 +81,7 @@ fn delay_steps_cost_less_lag_than_any_safe_fixed_delay() {
 #[test]
 fn bursts_disagree_at_most_as_at_a_fixed_delay_of_equal_mean() {
     for seed in 1..=3 {
-        let alignment = over(Law::Bursts, seed);
+        let alignment = over_bursts(seed);
         let figures = alignment.figures(ADAPTIVE);
         let same_ms = figures.compensation_ms.mean.round() as u32;
         let Disagreement { max, .. } = alignment.figures(Mode::Fixed(same_ms)).disagreement_mm;
@@ -73,8 +96,7 @@ fn bursts_disagree_at_most_as_at_a_fixed_delay_of_equal_mean() {
 
 #[test]
 fn prediction_beats_no_compensation_but_not_an_adaptive_delay() {
-    let profile = Profile::named("transatlantic").unwrap();
-    let alignment = emulated(&profile, 1);
+    let alignment = over("transatlantic", 1);
     let [predicted, delayed] = [Mode::Predicted, ADAPTIVE].map(|m| alignment.figures(m));
     assert!(times_nearer(&predicted, &alignment) >= 2.0, "{predicted:?}");
     assert!(predicted.disagreement_mm.rms >= 10.0 * delayed.disagreement_mm.rms);
@@ -82,20 +104,19 @@ fn prediction_beats_no_compensation_but_not_an_adaptive_delay() {
         predicted.compensation_ms.mean, 0.0,
         "prediction must not add a playout delay"
     );
-    let near = emulated(&Profile::named("lan").unwrap(), 1).figures(Mode::Predicted);
+    let near = over("lan", 1).figures(Mode::Predicted);
     assert!(near.is_safe(), "{near:?}");
 }
 
 #[test]
 fn short_steady_paths_cost_at_most_a_tenth_more_lag_than_the_smallest_safe_delay() {
-    let profile = Profile::named("metro").unwrap();
     let (mut mean_ms, mut safe_ms) = (0.0, 0);
     for seed in 1..=3 {
-        let alignment = emulated(&profile, seed);
+        let alignment = over("metro", seed);
         let figures = alignment.figures(ADAPTIVE);
         assert!(figures.is_safe(), "{seed}: {figures:?}");
         mean_ms += figures.compensation_ms.mean;
-        safe_ms += alignment.smallest_safe_fixed_ms().unwrap();
+        safe_ms += alignment.smallest_safe_fixed_ms(&mut |_| {}).unwrap();
     }
     assert!(
         mean_ms <= 1.10 * f64::from(safe_ms),
@@ -105,9 +126,8 @@ fn short_steady_paths_cost_at_most_a_tenth_more_lag_than_the_smallest_safe_delay
 
 #[test]
 fn network_delay_steps_cause_no_shown_steps() {
-    let profile = Profile::named("far-steps").unwrap();
     for seed in 1..=2 {
-        let figures = emulated(&profile, seed).figures(ADAPTIVE);
+        let figures = over("far-steps", seed).figures(ADAPTIVE);
         assert_eq!(figures.corrections_over_1mm, 0, "{seed}: {figures:?}");
     }
 }
@@ -115,7 +135,7 @@ fn network_delay_steps_cause_no_shown_steps() {
 #[test]
 fn session_recovers_from_a_clock_set_by_hours() {
     for by_us in [7_200_000_000, -7_200_000_000] {
-        let alignment = over(Law::Gamma, 3);
+        let alignment = over("gamma", 3);
         let mut simulation = alignment.simulation(ADAPTIVE);
         simulation.run(WARM_UP_US, WARM_UP_US + 10_000_000, &mut |_| {});
         simulation.set_clock(1, by_us);
@@ -138,7 +158,7 @@ fn session_survives_outages_and_recorded_losses() {
     let text = "name = \"recorded\"\n[both]\ntrace = \"lost.csv\"\n";
     let recorded = Profile::from_toml(text, &dir.path().join("recorded.toml")).unwrap();
     for profile in [Profile::named("outages").unwrap(), recorded] {
-        let figures = emulated(&profile, 1).figures(ADAPTIVE);
+        let figures = Alignment::new(profile, 1).figures(ADAPTIVE);
         // The outages cover 2.5 % and 5 % of the time; the sites agree otherwise.
         assert!(figures.disagreement_mm.p95 <= 1.0, "{figures:?}");
         let delay_ms = figures.compensation_ms;
@@ -146,22 +166,13 @@ fn session_survives_outages_and_recorded_losses() {
     }
 }
 
-/// A path that loses every packet.
-struct Dead;
-
-impl Way for Dead {
-    fn delay_us(&mut self, _: i64) -> Option<i64> {
-        None
-    }
-}
-
 #[test]
 fn session_terminates_on_a_network_that_loses_every_packet() {
-    let alignment = Alignment {
-        ways: |_, _, _| -> Box<dyn Way> { Box::new(Dead) },
-        seed: 1,
-        motion: None,
+    let dead = Link {
+        loss: 1.0,
+        ..Link::default()
     };
+    let alignment = Alignment::new(Profile::both("dead", dead), 1);
     let mut shown = 0;
     let mut simulation = alignment.simulation(ADAPTIVE);
     simulation.run(0, 5_000_000, &mut |_| shown += 1);

@@ -5,14 +5,11 @@ use std::sync::Arc;
 use serde_json::{Value, json};
 
 use super::{Bench, Outcome, line};
-use crate::alignment::emulated::emulated;
-use crate::alignment::simulation::Moment;
-use crate::alignment::way::Way;
+use crate::alignment::two_sites::Moment;
 use crate::alignment::{Alignment, Figures, Mode};
 use crate::chart::{BLUE, Chart, Line, ORANGE, Panel};
-use crate::hand::{Hand, Recorded};
+use crate::hand::Hand;
 use crate::network::Profile;
-use rand_pcg::Pcg64;
 
 /// Default network.
 const PROFILE: &str = "transatlantic";
@@ -51,24 +48,16 @@ pub(super) fn predicted(bench: &mut Bench<'_>) -> Result<Outcome, String> {
 }
 
 /// An alignment with the selected network and motion.
-fn alignment(
-    bench: &Bench<'_>,
-    profile: &Profile,
-    seed: u64,
-) -> Alignment<impl Fn(usize, Pcg64, Pcg64) -> Box<dyn Way> + use<>> {
-    let mut alignment = emulated(profile, seed);
-    alignment.motion = (bench.motion.as_ref()).map(|m| -> Arc<dyn Hand> {
-        let recorded: Arc<Recorded> = Arc::clone(m);
-        recorded
-    });
-    alignment
+fn alignment(bench: &Bench<'_>, profile: &Profile, seed: u64) -> Alignment {
+    Alignment {
+        profile: profile.clone(),
+        seed,
+        motion: bench.motion.clone().map(|m| m as Arc<dyn Hand>),
+    }
 }
 
 /// Rejects a network without enough arrivals: views that never received samples would show no disagreement.
-fn refuse_silence<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
-    alignment: &Alignment<W>,
-    network: &str,
-) -> Result<(), String> {
+fn refuse_silence(alignment: &Alignment, network: &str) -> Result<(), String> {
     let arrivals = alignment.arrivals();
     if arrivals.are_enough() {
         return Ok(());
@@ -95,15 +84,15 @@ struct Seen {
 }
 
 impl Seen {
-    fn of<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
-        alignment: &Alignment<W>,
+    fn of(
+        alignment: &Alignment,
         name: &str,
         network: &str,
         told: &mut dyn FnMut(&str, f64),
     ) -> Result<Self, String> {
         refuse_silence(alignment, network)?;
         let mut tried = 0.0;
-        let safe_ms = alignment.smallest_safe_fixed_ms_told(&mut |ms| {
+        let safe_ms = alignment.smallest_safe_fixed_ms(&mut |ms| {
             told(
                 &format!("trying a fixed delay of {ms} ms"),
                 tried / SESSIONS,
@@ -336,9 +325,7 @@ pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
 }
 
 /// The moments without compensation and with the default rule.
-fn both<W: Fn(usize, Pcg64, Pcg64) -> Box<dyn Way>>(
-    alignment: &Alignment<W>,
-) -> (Vec<Moment>, Vec<Moment>) {
+fn both(alignment: &Alignment) -> (Vec<Moment>, Vec<Moment>) {
     let adaptive = Mode::Adaptive;
     (alignment.moments(Mode::None), alignment.moments(adaptive))
 }

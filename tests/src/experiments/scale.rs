@@ -14,8 +14,9 @@ use super::cells::of_file;
 use super::{Bench, Outcome, line, panel};
 use crate::bench::quantile;
 use crate::chart::{BLACK, BLUE, Chart, GREEN, GREY, ORANGE};
-use crate::load_test::{LoadTest, LoadTestResult, Round, real, touching};
+use crate::load_test::{LoadTest, LoadTestResult, real, touching};
 use crate::network::Profile;
+use crate::simulated_session::host::Round;
 
 /// Numbers of participants.
 const PARTICIPANTS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];

@@ -1,12 +1,16 @@
 //! A participant of a load test: a protocol session and a moving hand, without tissue.
 
 use palpate_protocol::handshake::{Hello, Subscription};
-use palpate_protocol::session::{ClientEvent, ClientSession};
+use palpate_protocol::session::ClientEvent;
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{ClientTime, Grant, LocalSample, Pose, Role};
 use palpate_tissue::Vec3;
 
 use crate::hand::{Hand, Random, Temper};
+use crate::simulated_session::SiteClock;
+use crate::simulated_session::endpoint::Endpoint;
+use crate::simulated_session::host::{GRANT, Host};
+use crate::simulated_session::simulation::Participant;
 use crate::tool_location::SurfacePoint;
 
 /// Radius of each participant's ball tool, m.
@@ -104,48 +108,48 @@ pub(crate) fn hello(seat: usize, grant: Grant) -> Hello {
 
 /// A participant in virtual time.
 pub(super) struct Member {
-    pub(super) session: ClientSession,
+    pub(super) endpoint: Endpoint,
     motion: Motion,
     is_in: bool,
-    pub(super) trouble: Option<String>,
 }
 
 impl Member {
-    pub(super) fn new(
-        seat: usize,
-        grant: Grant,
-        motion: Motion,
-        now: ClientTime,
-    ) -> Result<Self, String> {
+    pub(super) fn new(seat: usize, motion: Motion, clock: SiteClock) -> Result<Self, String> {
         Ok(Self {
-            session: ClientSession::new(hello(seat, grant), now).map_err(|e| e.to_string())?,
+            endpoint: Endpoint::new(seat, hello(seat, GRANT), clock)?,
             motion,
             is_in: false,
-            trouble: None,
         })
-    }
-
-    /// Simulates one millisecond; the caller polls the session's output.
-    pub(super) fn turn(&mut self, now: ClientTime, t_s: f64) {
-        while let Some(event) = self.session.poll_event() {
-            match event {
-                ClientEvent::Welcomed(_) => self.is_in = true,
-                ClientEvent::Closed(reason) => {
-                    self.trouble.get_or_insert(reason.to_string());
-                }
-                _ => {}
-            }
-        }
-        if self.is_in {
-            self.session.send_motion(self.motion.sample(now, t_s));
-        }
-        if self.session.poll_timeout().is_some_and(|due| due <= now) {
-            self.session.handle_timeout(now);
-        }
     }
 
     /// Whether it has joined and knows the server's clock.
     pub(super) fn is_settled(&self) -> bool {
-        self.is_in && self.session.clock().is_some()
+        self.is_in && self.endpoint.session.clock().is_some()
+    }
+}
+
+impl Participant for Member {
+    fn endpoint(&mut self) -> &mut Endpoint {
+        &mut self.endpoint
+    }
+
+    fn take_events(&mut self, _at_us: i64) {
+        while let Some(event) = self.endpoint.session.poll_event() {
+            match event {
+                ClientEvent::Welcomed(_) => self.is_in = true,
+                ClientEvent::Closed(reason) => self.endpoint.check(Err(reason)),
+                _ => {}
+            }
+        }
+    }
+
+    fn turn(&mut self, at_us: i64, _host: &Host) {
+        self.take_events(at_us);
+        if self.is_in {
+            let now = self.endpoint.clock.at(at_us);
+            let sample = self.motion.sample(now, at_us as f64 * 1e-6);
+            self.endpoint.session.send_motion(sample);
+        }
+        self.endpoint.handle_timeout(at_us);
     }
 }

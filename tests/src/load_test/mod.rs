@@ -7,26 +7,21 @@
 
 mod member;
 pub mod real;
-mod server;
 
 use std::sync::Arc;
+use std::time::Duration;
 
+use palpate_protocol::Span;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
-use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role, ServerTime};
-use palpate_room::{RoomConfig, SimulatedRoom};
+use palpate_server::host::solver_limit;
 use palpate_tissue::{Model, Topology};
 
 use crate::network::{Direction, Profile};
-use crate::simulated_session::clock::SiteClock;
-use crate::simulated_session::wires::{Arrived, Wires};
+use crate::simulated_session::SiteClock;
+use crate::simulated_session::host::{Host, Round, room_config};
+use crate::simulated_session::simulation::{Participant, Simulation};
 use crate::tool_location::{SurfacePoint, ToolLocation};
 use member::{Member, Motion};
-use server::Server;
-
-pub use server::Round;
-
-/// Simulation step, µs.
-const TURN_US: i64 = 1000;
 
 /// Limit for all participants to join, µs.
 const IN_WITHIN_US: i64 = 10_000_000;
@@ -90,37 +85,33 @@ impl LoadTest<'_> {
     /// Runs the load test. `progress` receives the completed share.
     pub fn run(&self, mut progress: impl FnMut(f64)) -> Result<LoadTestResult, String> {
         let n = self.participants;
-        let grant = Grant(*b"a rehearsal only");
-        let config = self.config(grant);
-        let room = SimulatedRoom::new(Arc::clone(self.model), config.clone(), ServerTime::ZERO);
-        let mut server = Server::new(room, &config, n);
-        let mut wires = Wires::new(&vec![self.profile; n], self.seed);
-        let clocks: Vec<SiteClock> = (0..n).map(|k| SiteClock::of(self.seed, k)).collect();
+        let compensation = CompensationSettings {
+            mode: CompensationMode::Adaptive {
+                cap_us: DELAY_CAP_US,
+            },
+            initial_delay_us: DELAY_US,
+        };
+        let config = room_config(n, self.tick_hz, compensation, 0);
+        let tick = Duration::from_micros(config.tick_period().as_micros().unsigned_abs());
+        let limit = Span::from_micros(solver_limit(tick).as_micros() as i64);
+        let host = Host::new(Arc::clone(self.model), config, Some(limit));
+        let mut simulation = Simulation::new(host, &vec![self.profile; n], self.seed);
         let mut members = Vec::new();
-        for (k, motion) in motions(self.model, n, self.seed)?.into_iter().enumerate() {
-            members.push(Member::new(k, grant, motion, clocks[k].at(0))?);
+        for (seat, motion) in motions(self.model, n, self.seed)?.into_iter().enumerate() {
+            members.push(Member::new(seat, motion, SiteClock::of(self.seed, seat))?);
         }
-        let (mut at_us, mut counted_from) = (0_i64, None::<i64>);
+        let mut counted_from = None::<i64>;
         loop {
+            let at_us = simulation.at_us;
             let end = counted_from.map(|from| from + (self.seconds * 1e6) as i64);
             if end.map_or(at_us > IN_WITHIN_US, |end| at_us >= end) {
                 break;
             }
-            deliver(&mut server, &mut members, &clocks, &mut wires, at_us);
-            server.turn(ServerTime::from_micros(at_us), &mut wires);
-            for (seat, member) in members.iter_mut().enumerate() {
-                let now = clocks[seat].at(at_us);
-                member.turn(now, at_us as f64 * 1e-6);
-                while let Some(bytes) = member.session.poll_stream() {
-                    wires.send_stream(seat, Direction::Up, &bytes, at_us.unsigned_abs());
-                }
-                while let Some(bytes) = member.session.poll_datagram(now) {
-                    wires.send_datagram(seat, Direction::Up, bytes, at_us.unsigned_abs());
-                }
-            }
+            let participants = members.iter_mut().map(|m| m as &mut dyn Participant);
+            simulation.turn(&mut participants.collect::<Vec<_>>());
             if counted_from.is_none_or(|from| at_us == from) {
-                server.count_from_here();
-                wires.count_from_here();
+                simulation.host.count_from_here();
+                simulation.links.restart_log();
                 if counted_from.is_none() && members.iter().all(Member::is_settled) {
                     counted_from = Some(at_us + SETTLE_US);
                 }
@@ -128,68 +119,21 @@ impl LoadTest<'_> {
             if at_us % 100_000 == 0 {
                 progress(end.map_or(0.0, |end| at_us as f64 / end as f64));
             }
-            at_us += TURN_US;
+            simulation.advance();
         }
-        let mut troubles: Vec<String> = members.into_iter().filter_map(|m| m.trouble).collect();
+        let troubles = members.into_iter().filter_map(|m| m.endpoint.trouble);
+        let mut troubles: Vec<String> = troubles.collect();
         if counted_from.is_none() {
             troubles.push("not all participants joined within 10 s of simulated time".to_owned());
         }
+        let links = &simulation.links;
+        let bytes = [Direction::Up, Direction::Down].map(|d| links.logged_bytes(d, n));
         Ok(LoadTestResult {
-            rounds: server.rounds,
+            rounds: simulation.host.into_rounds(),
             seconds: self.seconds,
-            bytes: [Direction::Up, Direction::Down].map(|d| wires.counted(d, n)),
+            bytes,
             troubles,
         })
-    }
-
-    fn config(&self, grant: Grant) -> RoomConfig {
-        RoomConfig {
-            epoch: Epoch(1),
-            model: ModelInfo {
-                hash: ModelHash(0),
-                bytes: 0,
-            },
-            grants: vec![(Role::Trainee, grant)],
-            seats: u16::try_from(self.participants).unwrap_or(u16::MAX),
-            tick_hz: self.tick_hz,
-            compensation: CompensationSettings {
-                mode: CompensationMode::Adaptive {
-                    cap_us: DELAY_CAP_US,
-                },
-                initial_delay_us: DELAY_US,
-            },
-            start_when_tools: 0,
-            // A predictable token is safe: the simulation has no attacker.
-            fresh_token: |who| ResumeToken([who.0 as u8; 16]),
-        }
-    }
-}
-
-/// Delivers the packets that are due.
-fn deliver(
-    server: &mut Server,
-    members: &mut [Member],
-    clocks: &[SiteClock],
-    wires: &mut Wires,
-    at_us: i64,
-) {
-    while let Some((when_us, seat, direction, arrived)) = wires.pop_due(at_us.unsigned_abs()) {
-        let when_us = when_us as i64;
-        match (direction, arrived) {
-            (Direction::Up, arrived) => {
-                server.handle(seat, &arrived, ServerTime::from_micros(when_us));
-            }
-            (Direction::Down, Arrived::Stream(bytes)) => {
-                members[seat]
-                    .session
-                    .handle_stream(&bytes, clocks[seat].at(when_us));
-            }
-            (Direction::Down, Arrived::Datagram(bytes)) => {
-                members[seat]
-                    .session
-                    .handle_datagram(&bytes, clocks[seat].at(when_us));
-            }
-        }
     }
 }
 

@@ -5,8 +5,6 @@
 //! | --- | --- |
 //! | describe a network, in code or in a TOML file | [`Profile`], [`Link`] |
 //! | compute the fate of each packet | [`Path`] |
-//! | connect pure state machines in virtual time | [`VirtualNetwork`] |
-//! | give a site a wrong clock | [`VirtualClock`] |
 //!
 //! A packet passes these stages in order:
 //!
@@ -14,22 +12,23 @@
 //! outage -> bottleneck and its queue -> loss -> delay, jitter, burst, trace -> order -> copy, flipped bits
 //! ```
 //!
-//! The relay for real sockets, [`relay`](crate::relay), uses the same [`Path`].
+//! The relay for real sockets, [`relay`](crate::relay), and [simulated sessions](crate::simulated_session) use
+//! the same [`Path`].
 
 mod checked;
 pub(crate) mod command;
 mod draw;
+mod event_queue;
 mod link;
 mod path;
 mod profile;
 mod spread;
 mod trace;
-mod virtual_clock;
-mod virtual_network;
 
 #[cfg(test)]
-mod laws;
+mod tests;
 
+pub(crate) use event_queue::EventQueue;
 pub use link::{Bursts, Jitter, Link, Outage, Outages, Rate, Step, Steps};
 pub use path::{
     Arrival, Arrivals, Corruption, DELAY_MAX_MS, Direction, HEADER_BYTES, Path, PathCounts,
@@ -37,5 +36,3 @@ pub use path::{
 pub use profile::{Profile, ProfileError};
 pub use spread::Spread;
 pub use trace::{TRACE_ROWS_MAX, Trace, TraceError, TraceRow};
-pub use virtual_clock::VirtualClock;
-pub use virtual_network::{Delivery, FLOWS_MAX, PACKETS_MAX, VirtualNetwork};

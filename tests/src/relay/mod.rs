@@ -13,9 +13,9 @@ mod socket;
 mod stats;
 
 #[cfg(test)]
-mod delay_laws;
+mod delay_tests;
 #[cfg(test)]
-mod laws;
+mod tests;
 
 pub use crate::network::{Direction, Profile};
 pub use socket::{CLIENTS_MAX, QUEUE_MAX_PACKETS, RebindError, Relay};

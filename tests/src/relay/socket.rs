@@ -5,8 +5,7 @@
 //! which wakes within about 0.1 ms. (Timers of an asynchronous runtime have a resolution of 1 ms and would add
 //! jitter.)
 
-use std::cmp::Reverse;
-use std::collections::{BinaryHeap, HashMap};
+use std::collections::HashMap;
 use std::io;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -17,7 +16,7 @@ use std::time::{Duration, Instant};
 use palpate_transport::threads::{self, ThreadClass};
 
 use super::stats::{Histogram, RelayStats};
-use crate::network::{Arrivals, Direction, Path, Profile};
+use crate::network::{Arrivals, Direction, EventQueue, Path, Profile};
 
 /// Maximum packets in flight; more are dropped and counted as overflowed. At 1200 B this is 80 MB, and 300 ms
 /// of 200,000 packets per second.
@@ -76,8 +75,7 @@ struct Shared {
 
 #[derive(Default)]
 struct Queue {
-    parcels: BinaryHeap<Reverse<Parcel>>,
-    next_order: u64,
+    parcels: EventQueue<Instant, Parcel>,
     overflowed: u64,
     delivered: u64,
     delays: Histogram,
@@ -86,9 +84,6 @@ struct Queue {
 
 /// A packet in flight.
 struct Parcel {
-    due: Instant,
-    /// Breaks ties in favour of the packet that came first.
-    order: u64,
     arrived: Instant,
     way: Arc<Way>,
     /// Its number in this direction.
@@ -122,26 +117,6 @@ struct Way {
     newest_out: AtomicU64,
     /// Packets sent after one with a higher number.
     reordered: AtomicU64,
-}
-
-impl PartialEq for Parcel {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for Parcel {}
-
-impl PartialOrd for Parcel {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Parcel {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        (self.due, self.order).cmp(&(other.due, other.order))
-    }
 }
 
 /// A poisoned lock means that another relay thread failed; the figures remain valid.
@@ -221,27 +196,21 @@ impl Relay {
             stats.clients += 1;
             stats.rebinds += flow.rebinds.load(Ordering::Relaxed);
             for (way, sum) in [(&flow.up, &mut stats.up), (&flow.down, &mut stats.down)] {
+                let counts = lock(&way.path).counts();
                 let reordered = way.reordered.load(Ordering::Relaxed);
-                sum.add(lock(&way.path).counts(), reordered);
+                sum.add(counts, reordered);
+                stats.total.add(counts, reordered);
             }
         }
-        let (up, down) = (stats.up, stats.down);
         let queue = lock(&self.shared.queue);
         RelayStats {
-            sent: up.sent + down.sent,
-            dropped: up.dropped + down.dropped,
-            in_outage: up.in_outage + down.in_outage,
-            queue_full: up.queue_full + down.queue_full,
-            duplicated: up.duplicated + down.duplicated,
-            corrupted: up.corrupted + down.corrupted,
-            reordered: up.reordered + down.reordered,
             overflowed: queue.overflowed,
             delivered: queue.delivered,
             delay_mean_ms: queue.delays.mean_ms(),
             delay_p50_ms: queue.delays.quantile_ms(0.5),
             delay_p99_ms: queue.delays.quantile_ms(0.99),
             lateness_p99_ms: queue.lateness.quantile_ms(0.99),
-            loss: (up.dropped + down.dropped) as f64 / (up.sent + down.sent).max(1) as f64,
+            loss: stats.total.dropped as f64 / stats.total.sent.max(1) as f64,
             ..stats
         }
     }
@@ -405,16 +374,14 @@ impl Shared {
             if let Some(corruption) = arrival.corrupted {
                 corruption.apply(&mut bytes);
             }
-            let order = queue.next_order;
-            queue.next_order += 1;
-            queue.parcels.push(Reverse(Parcel {
-                due: self.began + Duration::from_micros(arrival.at_us),
-                order,
+            let parcel = Parcel {
                 arrived,
                 way: way.clone(),
                 n,
                 bytes,
-            }));
+            };
+            let due = self.began + Duration::from_micros(arrival.at_us);
+            queue.parcels.push(due, parcel);
         }
     }
 
@@ -423,18 +390,15 @@ impl Shared {
         let mut queue = lock(&self.queue);
         while !self.stop.load(Ordering::Relaxed) {
             let now = Instant::now();
-            let wait = queue.parcels.peek().map_or(STOP_PERIOD, |Reverse(p)| {
-                p.due.saturating_duration_since(now).min(STOP_PERIOD)
-            });
-            if !wait.is_zero() || queue.parcels.is_empty() {
+            let Some((due, parcel)) = queue.parcels.pop_due(now) else {
+                let wait = queue.parcels.next_at().map_or(STOP_PERIOD, |due| {
+                    due.saturating_duration_since(now).min(STOP_PERIOD)
+                });
                 let waited = self.due.wait_timeout(queue, wait);
                 queue = waited.unwrap_or_else(PoisonError::into_inner).0;
                 continue;
-            }
-            let Some(Reverse(parcel)) = queue.parcels.pop() else {
-                continue;
             };
-            queue.note_delivery(&parcel, now);
+            queue.note_delivery(&parcel, due, now);
             drop(queue);
             let socket = lock(&parcel.way.socket).clone();
             // If the receiver is gone, the packet is lost.
@@ -452,11 +416,11 @@ fn micros(d: Duration) -> u64 {
 }
 
 impl Queue {
-    fn note_delivery(&mut self, parcel: &Parcel, now: Instant) {
+    fn note_delivery(&mut self, parcel: &Parcel, due: Instant, now: Instant) {
         self.delays
             .record(micros(now.saturating_duration_since(parcel.arrived)));
         self.lateness
-            .record(micros(now.saturating_duration_since(parcel.due)));
+            .record(micros(now.saturating_duration_since(due)));
         self.delivered += 1;
         let newest = parcel
             .way

@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::network::PathCounts;
 
-/// Packet counts of one direction, over all clients.
+/// Packet counts of all clients, of one direction or of both.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct WayStats {
     /// Packets received.
     pub sent: u64,
-    /// Packets dropped by the profile.
+    /// Packets dropped by the profile: by chance, in an outage, at a full queue.
     pub dropped: u64,
     /// Dropped packets because the link was down.
     pub in_outage: u64,
@@ -64,27 +64,13 @@ pub struct RelayStats {
     pub seed: u64,
     /// Clients seen.
     pub clients: u64,
-    /// Packets received.
-    pub sent: u64,
-    /// Packets dropped by the profile: by chance, in an outage, at a full queue.
-    pub dropped: u64,
-    /// Dropped packets because the link was down.
-    #[serde(default)]
-    pub in_outage: u64,
-    /// Dropped packets because the bottleneck queue was full.
-    #[serde(default)]
-    pub queue_full: u64,
+    /// Packet counts of both directions.
+    #[serde(flatten)]
+    pub total: WayStats,
     /// Packets dropped because the relay was full; independent of the profile.
     pub overflowed: u64,
     /// Packets sent, duplicates included.
     pub delivered: u64,
-    /// Packets sent after one that was received later.
-    pub reordered: u64,
-    /// Duplicated packets.
-    pub duplicated: u64,
-    /// Corrupted packets.
-    #[serde(default)]
-    pub corrupted: u64,
     /// Address changes of clients towards the server.
     #[serde(default)]
     pub rebinds: u64,

@@ -1,23 +1,34 @@
-//! A simulated session: the product's room, protocol sessions, sites, force loops and simulated hands over
-//! an emulated network, in virtual time.
+//! Simulated sessions: the product's parts over an emulated network, in virtual time.
 //!
 //! ```text
-//! hand -> force loop -> session -> wires -> peer -> room        1 ms per turn
-//!          ^ model      |                    operations, motion, corrections
-//!         site <--------+<------ wires <-----+
-//!    thin site <--------+<------ wires <-----+  displacements
+//! participant       link                        host
+//!
+//! hand, site  ----> uplink: path, stream   ---->  peer, room, tissue
+//! session     <---- downlink: path, stream <----
 //! ```
 //!
-//! A run uses no threads and no wall clock. Solves end by iterations and residual, so a seed reproduces the
-//! session exactly. Overload of a slow machine is not simulated; the [real session](crate::session) covers
-//! it.
+//! `Simulation::turn` advances host and participants by 1 ms. Packets in flight are events of one queue, and each
+//! is delivered at its own time.
+//!
+//! | simulation | participants | host |
+//! | --- | --- | --- |
+//! | [`SimulatedSession`] | trainees (hand, force loop, tissue; or motion only) and thin spectators | its work takes no time |
+//! | [`LoadTest`](crate::load_test::LoadTest) | members, motion only | its work takes CPU time |
+//! | [`Alignment`](crate::alignment::Alignment) | two sites: hand, clock, delay estimate, timelines | playout delay of the group, or a prediction |
+//!
+//! An alignment has the links and clocks of the others, and no room: its subject is time compensation alone.
+//!
+//! A run uses no threads and no wall clock. A session solves by iterations and residual, so a seed reproduces it
+//! exactly. Overload of a slow machine is not simulated; the [real session](crate::session) covers it.
 
-pub(crate) mod clock;
-mod host;
+pub(crate) mod endpoint;
+pub(crate) mod host;
+pub(crate) mod links;
 mod mishap;
+pub(crate) mod simulation;
+mod site_clock;
 mod thin_spectator;
 mod trainee;
-pub(crate) mod wires;
 
 use std::sync::Arc;
 
@@ -25,24 +36,19 @@ use palpate_client::Recording;
 use palpate_client::site::SiteCounters;
 use palpate_device::Script;
 use palpate_protocol::operation::CompensationSettings;
-use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role, ServerTime};
-use palpate_room::RoomConfig;
 use palpate_tissue::Model;
 use serde::Serialize;
 
 use crate::network::{Direction, Profile};
-use clock::SiteClock;
-use host::Host;
+use host::{Host, room_config};
+use simulation::{Participant, Simulation};
 use thin_spectator::ThinSpectator;
-pub use thin_spectator::ThinSpectatorResult;
 use trainee::Trainee;
-use wires::{Arrived, Wires};
 
+pub use links::{Part, Sent};
 pub use mishap::Mishap;
-pub use wires::{Part, Sent};
-
-/// Simulation step, µs.
-const TURN_US: i64 = 1000;
+pub(crate) use site_clock::SiteClock;
+pub use thin_spectator::ThinSpectatorResult;
 
 /// Limit for the start of the scripts, µs.
 const BEGIN_WITHIN_US: i64 = 20_000_000;
@@ -124,61 +130,38 @@ impl SimulatedSession<'_> {
         mishaps: &[Mishap],
         mut progress: impl FnMut(f64) -> bool,
     ) -> Result<SessionResult, String> {
-        let grant = Grant(*b"a rehearsal only");
         let trainee_count = self.scripts.len();
         let seats = trainee_count + self.onlookers;
-        let mut wires = Wires::new(&self.profiles(mishaps), self.seed);
-        let mut host = Host::new(Arc::clone(self.model), self.config(grant), seats);
+        let config = room_config(seats, self.tick_hz, self.compensation, trainee_count);
+        let host = Host::new(Arc::clone(self.model), config, None);
+        let mut simulation = Simulation::new(host, &self.profiles(mishaps), self.seed);
         let mut trainees = Vec::new();
         for (seat, script) in self.scripts.iter().enumerate() {
-            let name = format!("trainee-{}", seat + 1);
             let clock = SiteClock::of(self.seed, seat);
-            let model = Arc::clone(self.model);
-            let mut trainee = Trainee::new(seat, &name, grant, model, script, clock)?;
+            let mut trainee = Trainee::new(seat, Arc::clone(self.model), script, clock)?;
             let of_seat = mishaps.iter().filter(|m| m.seat() == seat);
             trainee.mishaps = of_seat.cloned().collect();
-            trainees.push(if self.motion_only {
-                trainee.only_moving()
-            } else {
-                trainee
-            });
+            trainee.solves = !self.motion_only;
+            trainees.push(trainee);
         }
         let thin_spectator = |seat| {
             let clock = SiteClock::of(self.seed, seat);
-            ThinSpectator::new(seat, grant, Arc::clone(self.model), clock)
+            ThinSpectator::new(seat, Arc::clone(self.model), clock)
         };
         let mut thin_spectators: Vec<ThinSpectator> = (trainee_count..seats)
             .map(thin_spectator)
             .collect::<Result<_, _>>()?;
         let script_us = self.scripts.iter().map(|s| s.end_s()).fold(0.0, f64::max) * 1e6;
-        let (mut at_us, mut began_us) = (0_i64, None::<i64>);
+        let mut began_us = None::<i64>;
         loop {
-            deliver(
-                &mut host,
-                &mut trainees,
-                &mut thin_spectators,
-                &mut wires,
-                at_us,
-            );
-            host.turn(ServerTime::from_micros(at_us), &mut wires);
-            for (seat, trainee) in trainees.iter_mut().enumerate() {
-                if trainee.wants_connection() {
-                    wires.renew(seat);
-                    host.renew(seat, ServerTime::from_micros(at_us));
-                    trainee.come_back(at_us);
-                }
-                trainee.turn(at_us, &mut wires);
-            }
-            for (thin_spectator, seat) in thin_spectators.iter_mut().zip(trainee_count..) {
-                let bytes = host.bytes_to(seat);
-                thin_spectator.turn(at_us, &mut wires, bytes, host.pictures());
-            }
+            simulation.turn(&mut everyone(&mut trainees, &mut thin_spectators));
+            let at_us = simulation.at_us;
             if began_us.is_none() {
                 began_us = trainees.iter().find_map(|t| t.recording.script_started_us);
-                wires.count_from_here();
+                simulation.links.restart_log();
             }
             let end_us = began_us.map(|b| b + script_us as i64 + SETTLE_US);
-            if trainees.iter().any(|t| t.trouble.is_some())
+            if trainees.iter().any(|t| t.endpoint.trouble.is_some())
                 || end_us.map_or(at_us > BEGIN_WITHIN_US, |end| at_us >= end)
             {
                 break;
@@ -189,11 +172,17 @@ impl SimulatedSession<'_> {
                     return Err("interrupted".to_owned());
                 }
             }
-            at_us += TURN_US;
+            simulation.advance();
         }
-        let of_thin = thin_spectators.iter().filter_map(|t| t.trouble.clone());
-        let mut troubles: Vec<String> = trainees.iter().filter_map(|t| t.trouble.clone()).collect();
-        troubles.extend(of_thin);
+        let Simulation {
+            host,
+            mut links,
+            at_us,
+        } = simulation;
+        let participants = everyone(&mut trainees, &mut thin_spectators).into_iter();
+        let mut troubles: Vec<String> = participants
+            .filter_map(|p| p.endpoint().trouble.take())
+            .collect();
         if began_us.is_none() {
             troubles.push("the scripts did not start within 20 s of simulated time".to_owned());
         }
@@ -214,10 +203,10 @@ impl SimulatedSession<'_> {
             demotions: host.demotions(),
             recordings: trainees.into_iter().map(|t| t.recording).collect(),
             bytes_per_s: BytesPerSecond {
-                up: wires.counted(Direction::Up, trainee_count) as f64 * share,
-                down: wires.counted(Direction::Down, trainee_count) as f64 * share,
+                up: links.logged_bytes(Direction::Up, trainee_count) as f64 * share,
+                down: links.logged_bytes(Direction::Down, trainee_count) as f64 * share,
             },
-            sent: wires.take_sent(),
+            sent: links.take_log(),
             seconds,
             troubles,
         })
@@ -233,61 +222,18 @@ impl SimulatedSession<'_> {
         }
         profiles
     }
-
-    fn config(&self, grant: Grant) -> RoomConfig {
-        RoomConfig {
-            epoch: Epoch(1),
-            model: ModelInfo {
-                hash: ModelHash(0),
-                bytes: 0,
-            },
-            grants: vec![(Role::Trainee, grant), (Role::Spectator, grant)],
-            seats: (self.scripts.len() + self.onlookers) as u16,
-            tick_hz: self.tick_hz,
-            compensation: self.compensation,
-            start_when_tools: self.scripts.len() as u16,
-            // A predictable token is safe: the simulation has no attacker.
-            fresh_token: |who| ResumeToken([who.0 as u8; 16]),
-        }
-    }
 }
 
-/// Delivers packets due by `at_us`, each at its arrival time. The server forwards them at once, as its
-/// event loop does.
-fn deliver(
-    host: &mut Host,
-    trainees: &mut [Trainee],
-    thin_spectators: &mut [ThinSpectator],
-    wires: &mut Wires,
-    at_us: i64,
-) {
-    let trainee_count = trainees.len();
-    while let Some((when_us, seat, direction, arrived)) = wires.pop_due(at_us.unsigned_abs()) {
-        let when_us = when_us as i64;
-        match (direction, arrived) {
-            (Direction::Up, arrived) => {
-                let then = ServerTime::from_micros(when_us);
-                match arrived {
-                    Arrived::Stream(bytes) => host.handle_stream(seat, &bytes, then),
-                    Arrived::Datagram(bytes) => host.handle_datagram(seat, &bytes, then),
-                }
-                host.turn(then, wires);
-            }
-            (Direction::Down, arrived) if seat >= trainee_count => {
-                let thin_spectator = &mut thin_spectators[seat - trainee_count];
-                match arrived {
-                    Arrived::Stream(bytes) => thin_spectator.handle_stream(&bytes, when_us),
-                    Arrived::Datagram(bytes) => thin_spectator.handle_datagram(&bytes, when_us),
-                }
-            }
-            (Direction::Down, Arrived::Stream(bytes)) => {
-                trainees[seat].handle_stream(&bytes, when_us);
-            }
-            (Direction::Down, Arrived::Datagram(bytes)) => {
-                trainees[seat].handle_datagram(&bytes, when_us);
-            }
-        }
-    }
+/// All participants in the order of their seats.
+fn everyone<'a>(
+    trainees: &'a mut [Trainee],
+    thin_spectators: &'a mut [ThinSpectator],
+) -> Vec<&'a mut dyn Participant> {
+    let trainees = trainees.iter_mut().map(|t| t as &mut dyn Participant);
+    let thin_spectators = thin_spectators
+        .iter_mut()
+        .map(|t| t as &mut dyn Participant);
+    trainees.chain(thin_spectators).collect()
 }
 
 #[cfg(test)]

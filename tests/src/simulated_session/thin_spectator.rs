@@ -7,15 +7,16 @@ use std::sync::Arc;
 use palpate_client::site::Site;
 use palpate_client::thin::ThinView;
 use palpate_protocol::handshake::{Hello, Subscription};
-use palpate_protocol::session::{ClientEvent, ClientSession, Picture};
-use palpate_protocol::{Grant, Role, ServerTime};
+use palpate_protocol::session::{ClientEvent, Picture};
+use palpate_protocol::{Role, ServerTime};
 use palpate_tissue::{Model, Shape};
 use serde::Serialize;
 
-use super::clock::SiteClock;
-use super::wires::Wires;
+use super::endpoint::Endpoint;
+use super::host::{GRANT, Host};
+use super::simulation::Participant;
+use super::site_clock::SiteClock;
 use crate::disagreement::DistancesMm;
-use crate::network::Direction;
 
 /// Minimum displacement of a compared node from its first position, m. Resting nodes always agree and would
 /// lower the percentiles.
@@ -53,10 +54,8 @@ pub struct ThinSpectatorResult {
 
 /// A spectator.
 pub(super) struct ThinSpectator {
-    seat: usize,
-    clock: SiteClock,
+    endpoint: Endpoint,
     model: Arc<Model>,
-    session: ClientSession,
     site: Option<Site>,
     turns: u64,
     at_first: BTreeMap<u32, [f32; 3]>,
@@ -68,30 +67,22 @@ pub(super) struct ThinSpectator {
     looks: VecDeque<u64>,
     most: u64,
     bytes: u64,
-    pub(super) trouble: Option<String>,
 }
 
 impl ThinSpectator {
     /// A spectator that requests to join.
-    pub(super) fn new(
-        seat: usize,
-        grant: Grant,
-        model: Arc<Model>,
-        clock: SiteClock,
-    ) -> Result<Self, String> {
+    pub(super) fn new(seat: usize, model: Arc<Model>, clock: SiteClock) -> Result<Self, String> {
         let hello = Hello {
             name: format!("spectator-{}", seat + 1),
             role: Role::Spectator,
-            grant,
+            grant: GRANT,
             tool: None,
             subscription: Subscription::Thin,
             resume: None,
         };
         Ok(Self {
-            seat,
+            endpoint: Endpoint::new(seat, hello, clock)?,
             model,
-            session: ClientSession::new(hello, clock.at(0)).map_err(|e| e.to_string())?,
-            clock,
             site: None,
             turns: 0,
             at_first: BTreeMap::new(),
@@ -101,83 +92,16 @@ impl ThinSpectator {
             looks: VecDeque::new(),
             most: 0,
             bytes: 0,
-            trouble: None,
         })
     }
 
-    /// Receives bytes of the operations stream at a true time.
-    pub(super) fn handle_stream(&mut self, bytes: &[u8], at_us: i64) {
-        self.session.handle_stream(bytes, self.clock.at(at_us));
-        self.take_events(at_us);
-    }
-
-    /// Receives a datagram at a true time.
-    pub(super) fn handle_datagram(&mut self, bytes: &[u8], at_us: i64) {
-        self.session.handle_datagram(bytes, self.clock.at(at_us));
-        self.take_events(at_us);
-    }
-
-    fn take_events(&mut self, at_us: i64) {
-        let now = self.clock.at(at_us);
-        while let Some(event) = self.session.poll_event() {
-            match &event {
-                ClientEvent::Welcomed(welcome) => {
-                    self.site = Some(Site::thin(welcome, Arc::clone(&self.model), None));
-                }
-                ClientEvent::Closed(reason) => {
-                    self.trouble.get_or_insert(reason.to_string());
-                }
-                _ => {}
-            }
-            if let Some(site) = &mut self.site
-                && let Err(error) = site.handle_event(event, now)
-            {
-                self.trouble.get_or_insert(error.to_string());
-            }
-        }
-    }
-
-    /// Simulates one millisecond. `bytes` counts the server's output so far. Views are compared with
-    /// `pictures`, the server's shapes, once the scripts have started.
-    pub(super) fn turn(
-        &mut self,
-        at_us: i64,
-        wires: &mut Wires,
-        bytes: u64,
-        pictures: &BTreeMap<ServerTime, Arc<Picture>>,
-    ) {
-        let now = self.clock.at(at_us);
-        if self.session.poll_timeout().is_some_and(|due| due <= now) {
-            self.session.handle_timeout(now);
-        }
-        self.take_events(at_us);
-        if self.turns.is_multiple_of(LIVE_EVERY) {
-            self.live(at_us, pictures);
-        }
-        self.turns += 1;
-        self.bytes = bytes;
-        if self.began.is_some() && self.turns.is_multiple_of(COUNT_EVERY) {
-            self.looks.push_back(bytes);
-            if self.looks.len() > COUNTS_PER_S {
-                let before = self.looks.pop_front().unwrap_or(bytes);
-                self.most = self.most.max(bytes - before);
-            }
-        }
-        while let Some(bytes) = self.session.poll_stream() {
-            wires.send_stream(self.seat, Direction::Up, &bytes, at_us.unsigned_abs());
-        }
-        while let Some(bytes) = self.session.poll_datagram(now) {
-            wires.send_datagram(self.seat, Direction::Up, bytes, at_us.unsigned_abs());
-        }
-    }
-
     fn live(&mut self, at_us: i64, pictures: &BTreeMap<ServerTime, Arc<Picture>>) {
-        let now = self.clock.at(at_us);
+        let now = self.endpoint.clock.at(at_us);
         let Some(site) = &mut self.site else { return };
-        if let Err(error) = site.advance(now) {
-            self.trouble.get_or_insert(error.to_string());
-        }
-        let begins = site.script_start().map(|at| self.clock.true_us(at));
+        self.endpoint.check(site.advance(now));
+        let begins = site
+            .script_start()
+            .map(|at| self.endpoint.clock.true_us(at));
         if self.began.is_none() && begins.is_some_and(|b| b <= at_us) {
             let told = site.replica().thin_view().map_or(0, |t| t.counters().told);
             self.began = Some((at_us, self.bytes, told));
@@ -198,9 +122,8 @@ impl ThinSpectator {
             }
         }
         while let Some(request) = site.poll_request() {
-            if let Err(error) = self.session.request(request) {
-                self.trouble.get_or_insert(error.to_string());
-            }
+            let sent = self.endpoint.session.request(request).map(|_| ());
+            self.endpoint.check(sent);
         }
         while site.poll_applied().is_some() {}
         while site.poll_notice().is_some() {}
@@ -236,6 +159,48 @@ impl ThinSpectator {
     pub(super) fn topology(&self) -> Option<(u32, u64)> {
         let topology = self.site.as_ref()?.replica().topology();
         Some((topology.version(), topology.hash().0))
+    }
+}
+
+impl Participant for ThinSpectator {
+    fn endpoint(&mut self) -> &mut Endpoint {
+        &mut self.endpoint
+    }
+
+    fn take_events(&mut self, at_us: i64) {
+        let now = self.endpoint.clock.at(at_us);
+        while let Some(event) = self.endpoint.session.poll_event() {
+            match &event {
+                ClientEvent::Welcomed(welcome) => {
+                    self.site = Some(Site::thin(welcome, Arc::clone(&self.model), None));
+                }
+                ClientEvent::Closed(reason) => {
+                    self.endpoint.check(Err(reason));
+                }
+                _ => {}
+            }
+            if let Some(site) = &mut self.site {
+                self.endpoint.check(site.handle_event(event, now));
+            }
+        }
+    }
+
+    /// Views are compared with the server's shapes once the scripts have started.
+    fn turn(&mut self, at_us: i64, host: &Host) {
+        self.endpoint.handle_timeout(at_us);
+        self.take_events(at_us);
+        if self.turns.is_multiple_of(LIVE_EVERY) {
+            self.live(at_us, host.pictures());
+        }
+        self.turns += 1;
+        self.bytes = host.bytes_to(self.endpoint.seat);
+        if self.began.is_some() && self.turns.is_multiple_of(COUNT_EVERY) {
+            self.looks.push_back(self.bytes);
+            if self.looks.len() > COUNTS_PER_S {
+                let before = self.looks.pop_front().unwrap_or(self.bytes);
+                self.most = self.most.max(self.bytes - before);
+            }
+        }
     }
 }
 

@@ -14,13 +14,14 @@ use palpate_device::{HapticDevice, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel};
 use palpate_protocol::handshake::{Hello, Resume, Subscription};
 use palpate_protocol::session::{ClientEvent, ClientSession};
-use palpate_protocol::{ClientTime, Grant, OperationId, ParticipantId, Role, Span, TopologyHash};
+use palpate_protocol::{ClientTime, OperationId, ParticipantId, Role, Span, TopologyHash};
 use palpate_tissue::{Budget, Model};
 
-use super::clock::SiteClock;
+use super::endpoint::Endpoint;
+use super::host::{GRANT, Host};
 use super::mishap::Mishap;
-use super::wires::Wires;
-use crate::network::Direction;
+use super::simulation::Participant;
+use super::site_clock::SiteClock;
 
 /// Period of the force loop.
 const TICK: Span = Span::from_millis(1);
@@ -31,22 +32,17 @@ const HAPTIC_EVERY: u64 = 4;
 /// Solver iterations per view, as in the client.
 const VIEW_ITERATIONS: usize = 2;
 
-/// Error message of a participant that cannot continue.
-pub(super) type Trouble = String;
-
 /// A trainee.
 pub(super) struct Trainee {
-    seat: usize,
-    clock: SiteClock,
+    pub(super) endpoint: Endpoint,
     model: Arc<Model>,
     script: ScriptStart,
     blade_length_m: Option<f64>,
-    /// Whether it solves its own tissue.
-    solves: bool,
+    /// Whether it solves its own tissue; otherwise it moves only, renders no force, and its views are unused.
+    pub(super) solves: bool,
     hand: HandLoop,
     contact: ContactModel,
     hello: Hello,
-    session: ClientSession,
     requests: Requests,
     /// Seat and position in the operation log, for a reconnect.
     resume: Option<Resume>,
@@ -58,24 +54,22 @@ pub(super) struct Trainee {
     link_lost: bool,
     /// Views and forces of the trainee, in true time.
     pub(super) recording: Recording,
-    pub(super) trouble: Option<Trouble>,
 }
 
 impl Trainee {
     /// A trainee that follows a script and requests to join.
     pub(super) fn new(
         seat: usize,
-        name: &str,
-        grant: Grant,
         model: Arc<Model>,
         script: &Script,
         clock: SiteClock,
-    ) -> Result<Self, Trouble> {
+    ) -> Result<Self, String> {
+        let name = format!("trainee-{}", seat + 1);
         let tool = tool_description(&script.tool());
         let hello = Hello {
-            name: name.to_owned(),
+            name: name.clone(),
             role: Role::Trainee,
-            grant,
+            grant: GRANT,
             tool: Some(tool),
             subscription: Subscription::Full,
             resume: None,
@@ -87,14 +81,13 @@ impl Trainee {
         let mut hand = HandLoop::new(Box::new(device), chain, TICK, now);
         hand.begin();
         Ok(Self {
-            seat,
+            endpoint: Endpoint::new(seat, hello.clone(), clock)?,
             model,
             blade_length_m: (script.tool().length_m > 0.0).then_some(script.tool().length_m),
             script: start,
             solves: true,
             hand,
             contact: ContactModel::free_at(now, 0),
-            session: ClientSession::new(hello.clone(), now).map_err(|e| e.to_string())?,
             hello,
             requests: Requests::new(ParticipantId::SERVER),
             resume: None,
@@ -105,53 +98,11 @@ impl Trainee {
             ticks: 0,
             link_lost: false,
             recording: Recording {
-                name: name.to_owned(),
+                name,
                 role: Role::Trainee.word().to_owned(),
                 ..Recording::default()
             },
-            trouble: None,
-            clock,
         })
-    }
-
-    /// Makes the trainee move only: it solves no tissue and renders no force, and its views are unused.
-    pub(super) fn only_moving(self) -> Self {
-        Self {
-            solves: false,
-            ..self
-        }
-    }
-
-    /// Receives bytes of the operations stream at a true time.
-    pub(super) fn handle_stream(&mut self, bytes: &[u8], at_us: i64) {
-        self.session.handle_stream(bytes, self.clock.at(at_us));
-        self.take_events(at_us);
-    }
-
-    /// Receives a datagram at a true time.
-    pub(super) fn handle_datagram(&mut self, bytes: &[u8], at_us: i64) {
-        self.session.handle_datagram(bytes, self.clock.at(at_us));
-        self.take_events(at_us);
-    }
-
-    /// Simulates one millisecond.
-    pub(super) fn turn(&mut self, at_us: i64, wires: &mut Wires) {
-        let now = self.clock.at(at_us);
-        self.feel(now, at_us);
-        if self.session.poll_timeout().is_some_and(|due| due <= now) {
-            self.session.handle_timeout(now);
-        }
-        self.take_events(at_us);
-        if self.ticks.is_multiple_of(HAPTIC_EVERY) {
-            self.live(now, at_us);
-        }
-        self.ticks += 1;
-        while let Some(bytes) = self.session.poll_stream() {
-            wires.send_stream(self.seat, Direction::Up, &bytes, at_us.unsigned_abs());
-        }
-        while let Some(bytes) = self.session.poll_datagram(now) {
-            wires.send_datagram(self.seat, Direction::Up, bytes, at_us.unsigned_abs());
-        }
     }
 
     fn feel(&mut self, now: ClientTime, at_us: i64) {
@@ -169,7 +120,7 @@ impl Trainee {
         }
         if turned.is_good && self.site.is_some() {
             let sample = local_sample(&frame);
-            self.session.send_motion(sample);
+            self.endpoint.session.send_motion(sample);
             if let Some(site) = &mut self.site {
                 site.handle_own(&sample);
             }
@@ -187,62 +138,15 @@ impl Trainee {
         }
     }
 
-    fn take_events(&mut self, at_us: i64) {
-        let now = self.clock.at(at_us);
-        while let Some(mut event) = self.session.poll_event() {
-            self.requests.handle_event(&event);
-            match &event {
-                ClientEvent::Welcomed(welcome) => {
-                    self.recording.participant = welcome.participant.0;
-                    self.resume = Some(Resume::after_welcome(welcome, self.resume));
-                    if self.site.is_none() {
-                        let model = Arc::clone(&self.model);
-                        self.requests = Requests::new(welcome.participant);
-                        let new = if self.solves { Site::new } else { Site::thin };
-                        self.site = Some(new(welcome, model, self.blade_length_m));
-                        continue;
-                    }
-                    for request in self.requests.unanswered() {
-                        if let Err(error) = self.session.send_request(request) {
-                            self.trouble.get_or_insert(error.to_string());
-                        }
-                    }
-                }
-                ClientEvent::Operation(operation) => {
-                    if let Some(resume) = &mut self.resume {
-                        resume.note(operation);
-                    }
-                }
-                ClientEvent::LinkLost => self.link_lost = true,
-                ClientEvent::LinkRestored => self.link_lost = false,
-                ClientEvent::Closed(reason) => {
-                    self.trouble.get_or_insert(reason.to_string());
-                }
-                _ => {}
-            }
-            let since = self.first_view.map(|first| now - first);
-            for mishap in &mut self.mishaps {
-                mishap.spoil(&mut event, since);
-            }
-            if let Some(site) = &mut self.site
-                && let Err(error) = site.handle_event(event, now)
-            {
-                self.trouble.get_or_insert(error.to_string());
-            }
-        }
-    }
-
     /// The work of the client's replica thread every 4 ms, without the haptic step.
     fn live(&mut self, now: ClientTime, at_us: i64) {
         let Some(site) = &mut self.site else { return };
-        if let Err(error) = site.advance(now) {
-            self.trouble.get_or_insert(error.to_string());
-        }
+        self.endpoint.check(site.advance(now));
         if let Some(at) = site.script_start()
             && self.script.get().is_none_or(|t| t > device_time(now))
         {
             self.script.set(device_time(at));
-            self.recording.script_started_us = Some(self.clock.true_us(at));
+            self.recording.script_started_us = Some(self.endpoint.clock.true_us(at));
         }
         let budget = Budget {
             near: false,
@@ -256,43 +160,17 @@ impl Trainee {
             self.recording.views.extend(view);
         }
         self.wants_connection |= site.poll_rejoin().is_some();
-        let stands = self.session.participant().is_some();
+        let stands = self.endpoint.session.participant().is_some();
         while let Some(request) = site.poll_request().filter(|_| stands) {
             let request = self.requests.number(request);
-            if let Err(error) = self.session.send_request(request) {
-                self.trouble.get_or_insert(error.to_string());
-            }
+            let sent = self.endpoint.session.send_request(request);
+            self.endpoint.check(sent);
         }
         while let Some(mut operation) = site.poll_applied() {
             operation.applied_us = at_us;
             self.recording.operations.push(operation);
         }
         while site.poll_notice().is_some() {}
-    }
-
-    /// Whether the site requests a new connection.
-    pub(super) fn wants_connection(&self) -> bool {
-        self.wants_connection
-    }
-
-    /// Reconnects to its seat and requests the whole operation log.
-    pub(super) fn come_back(&mut self, at_us: i64) {
-        self.wants_connection = false;
-        let hello = Hello {
-            resume: self.resume.map(|resume| Resume {
-                next_operation: OperationId(0),
-                topology_version: 0,
-                topology_hash: TopologyHash(0),
-                ..resume
-            }),
-            ..self.hello.clone()
-        };
-        match ClientSession::new(hello, self.clock.at(at_us)) {
-            Ok(session) => self.session = session,
-            Err(error) => {
-                self.trouble.get_or_insert(error.to_string());
-            }
-        }
     }
 
     /// Counters of the site.
@@ -304,6 +182,85 @@ impl Trainee {
     pub(super) fn topology(&self) -> Option<(u32, u64)> {
         let topology = self.site.as_ref()?.replica().topology();
         Some((topology.version(), topology.hash().0))
+    }
+}
+
+impl Participant for Trainee {
+    fn endpoint(&mut self) -> &mut Endpoint {
+        &mut self.endpoint
+    }
+
+    /// Reconnects to its seat and requests the whole operation log.
+    fn reconnect(&mut self, at_us: i64) -> bool {
+        if !std::mem::take(&mut self.wants_connection) {
+            return false;
+        }
+        let hello = Hello {
+            resume: self.resume.map(|resume| Resume {
+                next_operation: OperationId(0),
+                topology_version: 0,
+                topology_hash: TopologyHash(0),
+                ..resume
+            }),
+            ..self.hello.clone()
+        };
+        let session = ClientSession::new(hello, self.endpoint.clock.at(at_us));
+        let session = session.map(|session| self.endpoint.session = session);
+        self.endpoint.check(session);
+        true
+    }
+
+    fn take_events(&mut self, at_us: i64) {
+        let now = self.endpoint.clock.at(at_us);
+        while let Some(mut event) = self.endpoint.session.poll_event() {
+            self.requests.handle_event(&event);
+            match &event {
+                ClientEvent::Welcomed(welcome) => {
+                    self.recording.participant = welcome.participant.0;
+                    self.resume = Some(Resume::after_welcome(welcome, self.resume));
+                    if self.site.is_none() {
+                        let model = Arc::clone(&self.model);
+                        self.requests = Requests::new(welcome.participant);
+                        let new = if self.solves { Site::new } else { Site::thin };
+                        self.site = Some(new(welcome, model, self.blade_length_m));
+                        continue;
+                    }
+                    for request in self.requests.unanswered() {
+                        let sent = self.endpoint.session.send_request(request);
+                        self.endpoint.check(sent);
+                    }
+                }
+                ClientEvent::Operation(operation) => {
+                    if let Some(resume) = &mut self.resume {
+                        resume.note(operation);
+                    }
+                }
+                ClientEvent::LinkLost => self.link_lost = true,
+                ClientEvent::LinkRestored => self.link_lost = false,
+                ClientEvent::Closed(reason) => {
+                    self.endpoint.check(Err(reason));
+                }
+                _ => {}
+            }
+            let since = self.first_view.map(|first| now - first);
+            for mishap in &mut self.mishaps {
+                mishap.spoil(&mut event, since);
+            }
+            if let Some(site) = &mut self.site {
+                self.endpoint.check(site.handle_event(event, now));
+            }
+        }
+    }
+
+    fn turn(&mut self, at_us: i64, _host: &Host) {
+        let now = self.endpoint.clock.at(at_us);
+        self.feel(now, at_us);
+        self.endpoint.handle_timeout(at_us);
+        self.take_events(at_us);
+        if self.ticks.is_multiple_of(HAPTIC_EVERY) {
+            self.live(now, at_us);
+        }
+        self.ticks += 1;
     }
 }
 

@@ -1,4 +1,4 @@
-//! A participant's local clock in relation to true time.
+//! The local clock of a site in relation to true time.
 
 use palpate_protocol::ClientTime;
 use rand::{RngExt, SeedableRng};
@@ -10,7 +10,7 @@ const DRIFT_PPM: f64 = 50.0;
 /// Maximum offset between two machines' monotonic clocks, s; each counts from its boot.
 const OFFSET_S: f64 = 1e6;
 
-/// A local clock with constant offset and drift.
+/// A local clock with offset and drift.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SiteClock {
     offset_us: i64,
@@ -18,13 +18,24 @@ pub(crate) struct SiteClock {
 }
 
 impl SiteClock {
+    /// A clock that shows `offset_us` at true time 0 and gains `drift` seconds per second.
+    pub(crate) fn new(offset_us: i64, drift: f64) -> Self {
+        Self {
+            offset_us,
+            rate: 1.0 + drift,
+        }
+    }
+
     /// The clock of a seat, reproducible from the seed.
     pub(crate) fn of(seed: u64, seat: usize) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed ^ (seat as u64 + 1).wrapping_mul(0x9e37_79b9));
-        Self {
-            offset_us: (rng.random_range(0.0..OFFSET_S) * 1e6) as i64,
-            rate: 1.0 + rng.random_range(-DRIFT_PPM..DRIFT_PPM) * 1e-6,
-        }
+        let offset_us = (rng.random_range(0.0..OFFSET_S) * 1e6) as i64;
+        Self::new(offset_us, rng.random_range(-DRIFT_PPM..DRIFT_PPM) * 1e-6)
+    }
+
+    /// Sets the clock forward or back.
+    pub(crate) fn step(&mut self, by_us: i64) {
+        self.offset_us += by_us;
     }
 
     /// The local time at a true time in µs.

@@ -1,7 +1,5 @@
-//! Discrete-event simulation of an alignment.
+//! Discrete-event simulation of two sites and a server without a room.
 
-use std::cmp::Reverse;
-use std::collections::{BinaryHeap, VecDeque};
 use std::sync::Arc;
 
 use palpate_protocol::compensation::{DelayEstimator, DelaySchedule, GroupDelay, MotionArrival};
@@ -15,8 +13,10 @@ use rand_pcg::Pcg64;
 
 use super::predictor::Predictor;
 use super::site::Site;
-use super::way::Way;
 use crate::hand::Hand;
+use crate::network::{Direction, Profile};
+use crate::simulated_session::SiteClock;
+use crate::simulated_session::links::{Arrived, Delivery, Links, Part, Payload};
 
 /// Period of hand samples and views, microseconds.
 const TICK_US: i64 = 1000;
@@ -28,10 +28,12 @@ const REPORT_US: i64 = 250_000;
 const PROBE_US: [i64; 2] = [20_000, 100_000];
 /// Retransmission timeout of the ordered stream, microseconds.
 const RESEND_US: i64 = 100_000;
+/// Size of a packet in bytes, for links with limited bandwidth.
+const PACKET_BYTES: usize = 120;
 /// Maximum drift of a site's clock (50 ppm).
 const DRIFT_MAX: f64 = 50e-6;
 
-/// A packet in flight or a retransmission timer.
+/// Content of a packet.
 #[derive(Debug)]
 enum Parcel {
     SamplesUp(Vec<ToolSample>),
@@ -42,32 +44,21 @@ enum Parcel {
     ReplyDown(Reply),
     ReportUp(DelayReport),
     ChangeDown(u32, ServerTime),
-    /// Retransmission on the ordered stream: direction and packet index.
-    Resend(usize, usize),
 }
 
-/// One direction of a site's ordered stream, with in-order delivery and retransmission.
-#[derive(Debug, Default)]
-struct Stream {
-    /// Undelivered packets in order, each with its arrival time if it was not lost.
-    waiting: VecDeque<(Parcel, Option<i64>)>,
-    /// Index of the first undelivered packet.
-    first: usize,
-    /// Time of the last delivery, microseconds.
-    delivered_us: i64,
-}
+impl Payload for Parcel {
+    fn bytes(&self) -> usize {
+        PACKET_BYTES
+    }
 
-impl Stream {
-    /// Removes the packets that can be delivered in order, with their delivery times.
-    fn deliver(&mut self) -> Vec<(i64, Parcel)> {
-        let mut out = Vec::new();
-        while let Some((_, Some(arrives_us))) = self.waiting.front() {
-            let at = (*arrives_us).max(self.delivered_us + 1);
-            self.delivered_us = at;
-            self.first += 1;
-            out.extend(self.waiting.pop_front().map(|(parcel, _)| (at, parcel)));
-        }
-        out
+    fn purpose(&self) -> (Part, u16) {
+        let part = match self {
+            Self::SamplesUp(_) | Self::SamplesDown(_) | Self::PredictedDown(..) => Part::Motion,
+            Self::ProbeUp(_) | Self::ReplyDown(_) => Part::Clock,
+            Self::ReportUp(_) => Part::Delays,
+            Self::ChangeDown(..) => Part::Operations,
+        };
+        (part, 0)
     }
 }
 
@@ -102,31 +93,26 @@ impl Moment {
 }
 
 /// A simulated session of two sites and a server.
-pub struct Simulation {
+pub struct TwoSites {
     sites: [Site; 2],
-    /// Uplink and downlink of the first site, then of the second.
-    ways: [[Box<dyn Way>; 2]; 2],
+    links: Links<Parcel>,
     group: GroupDelay,
     /// The server's delay estimate of each site's samples.
     measured: [DelayEstimator; 2],
     schedule: DelaySchedule,
     /// The server's predictor in prediction mode.
     predictor: Option<Predictor>,
-    parcels: VecDeque<(usize, Parcel)>,
-    first_parcel: usize,
-    due: BinaryHeap<Reverse<(i64, usize)>>,
-    streams: [[Stream; 2]; 2],
     probe_due_us: [i64; 2],
     report_due_us: [i64; 2],
     arrived: u64,
     now_us: i64,
 }
 
-impl Simulation {
-    /// A session of two hands over the given paths.
+impl TwoSites {
+    /// A session of two hands over a network.
     pub fn new(
         settings: &CompensationSettings,
-        ways: [[Box<dyn Way>; 2]; 2],
+        (profile, network_seed): (&Profile, u64),
         hands: [Arc<dyn Hand>; 2],
         seed: u64,
     ) -> Self {
@@ -134,19 +120,15 @@ impl Simulation {
         let sites = hands.map(|hand| {
             let offset_us = rng.random_range(-3_600_000_000..3_600_000_000);
             let drift = rng.random_range(-DRIFT_MAX..DRIFT_MAX);
-            Site::new(hand, settings, (offset_us, drift))
+            Site::new(hand, settings, SiteClock::new(offset_us, drift))
         });
         Self {
             sites,
-            ways,
+            links: Links::new(&[profile; 2], network_seed, RESEND_US),
             group: GroupDelay::new(settings),
             measured: Default::default(),
             schedule: DelaySchedule::new(settings),
             predictor: None,
-            parcels: VecDeque::new(),
-            first_parcel: 0,
-            due: BinaryHeap::new(),
-            streams: Default::default(),
             probe_due_us: [0; 2],
             report_due_us: [REPORT_US; 2],
             arrived: 0,
@@ -167,12 +149,8 @@ impl Simulation {
         while self.now_us < until_us {
             let now = self.now_us;
             self.now_us += TICK_US;
-            while let Some(&Reverse((at, number))) = self.due.peek() {
-                if at > now {
-                    break;
-                }
-                self.due.pop();
-                self.arrive(at, number);
+            while let Some(delivery) = self.links.pop_due(now) {
+                self.receive(delivery);
             }
             for k in 0..2 {
                 self.tick(k, now);
@@ -188,7 +166,7 @@ impl Simulation {
 
     /// Sets the clock of a site.
     pub fn set_clock(&mut self, site: usize, by_us: i64) {
-        self.sites[site].set_clock(by_us);
+        self.sites[site].own_clock.step(by_us);
     }
 
     /// Number of clock steps that each site has detected.
@@ -227,20 +205,23 @@ impl Simulation {
         if now >= self.probe_due_us[k] {
             let period = PROBE_US[usize::from(site.clock.map().is_some())];
             self.probe_due_us[k] = now + period;
-            let probe = site.clock.probe(site.clock_at(now));
-            self.send(k, 0, now, Parcel::ProbeUp(probe));
+            let probe = site.clock.probe(site.own_clock.at(now));
+            self.links
+                .send_datagram(k, Direction::Up, now, Parcel::ProbeUp(probe));
         }
         let site = &mut self.sites[k];
         let sampled = site.sample(now).is_some();
         if sampled && site.batch.len() == BATCH {
             let batch = std::mem::take(&mut site.batch);
-            self.send(k, 0, now, Parcel::SamplesUp(batch));
+            self.links
+                .send_datagram(k, Direction::Up, now, Parcel::SamplesUp(batch));
         }
         let site = &mut self.sites[k];
         if site.estimator.take_urgent() || now >= self.report_due_us[k] {
             self.report_due_us[k] = now + REPORT_US;
             if let Some(report) = site.estimator.report() {
-                self.send_reliably(k, 0, now, Parcel::ReportUp(report));
+                let parcel = Parcel::ReportUp(report);
+                self.links.send_segment(k, Direction::Up, now, parcel);
             }
         }
     }
@@ -256,55 +237,24 @@ impl Simulation {
             (self.schedule).handle_change(change.delay_us, change.effective_at);
             for k in 0..2 {
                 let parcel = Parcel::ChangeDown(change.delay_us, change.effective_at);
-                self.send_reliably(k, 1, now, parcel);
+                self.links.send_segment(k, Direction::Down, now, parcel);
             }
         }
     }
 
-    fn send(&mut self, k: usize, direction: usize, now: i64, parcel: Parcel) {
-        if let Some(delay_us) = self.ways[k][direction].delay_us(now) {
-            self.post(k, now + delay_us, parcel);
+    fn receive(&mut self, delivery: Delivery<Parcel>) {
+        match delivery.arrived {
+            Arrived::Datagram(parcel) => self.handle(delivery.seat, delivery.at_us, parcel),
+            Arrived::Stream(parcels) => {
+                for parcel in parcels {
+                    self.handle(delivery.seat, delivery.at_us, parcel);
+                }
+            }
         }
     }
 
-    /// Sends on the ordered stream, with in-order delivery and retransmission.
-    fn send_reliably(&mut self, k: usize, direction: usize, now: i64, parcel: Parcel) {
-        let stream = &mut self.streams[k][direction];
-        let number = stream.first + stream.waiting.len();
-        stream.waiting.push_back((parcel, None));
-        self.transmit(k, direction, now, number);
-    }
-
-    /// Sends a packet of the ordered stream. Loss schedules a retransmission as an event, because a path
-    /// accepts packets in time order only and an outage would lose an immediate retry.
-    fn transmit(&mut self, k: usize, direction: usize, now: i64, number: usize) {
-        let Some(delay_us) = self.ways[k][direction].delay_us(now) else {
-            return self.post(k, now + RESEND_US, Parcel::Resend(direction, number));
-        };
-        let stream = &mut self.streams[k][direction];
-        stream.waiting[number - stream.first].1 = Some(now + delay_us);
-        for (at, parcel) in stream.deliver() {
-            self.post(k, at, parcel);
-        }
-    }
-
-    fn post(&mut self, k: usize, at: i64, parcel: Parcel) {
-        let number = self.first_parcel + self.parcels.len();
-        self.parcels.push_back((k, parcel));
-        self.due.push(Reverse((at, number)));
-    }
-
-    /// Delivers a parcel: at the server from site `k`, or at site `k`.
-    fn arrive(&mut self, at: i64, number: usize) {
-        let nothing = Parcel::SamplesDown(Vec::new());
-        let place = &mut self.parcels[number - self.first_parcel];
-        let (k, parcel) = (place.0, std::mem::replace(&mut place.1, nothing));
-        while let Some((_, Parcel::SamplesDown(gone))) = self.parcels.front()
-            && gone.is_empty()
-        {
-            self.parcels.pop_front();
-            self.first_parcel += 1;
-        }
+    /// Handles a parcel at the server from site `k`, or at site `k`.
+    fn handle(&mut self, k: usize, at: i64, parcel: Parcel) {
         let server_now = ServerTime::from_micros(at);
         match parcel {
             Parcel::SamplesUp(samples) => {
@@ -323,7 +273,7 @@ impl Simulation {
                         .map(|(sample, newest)| Parcel::PredictedDown(sample, newest)),
                 };
                 if let Some(parcel) = parcel {
-                    self.send(1 - k, 1, at, parcel);
+                    self.links.send_datagram(1 - k, Direction::Down, at, parcel);
                 }
             }
             Parcel::PredictedDown(sample, newest) => {
@@ -340,10 +290,11 @@ impl Simulation {
                     server_received: server_now,
                     server_sent: server_now,
                 };
-                self.send(k, 1, at, Parcel::ReplyDown(reply));
+                self.links
+                    .send_datagram(k, Direction::Down, at, Parcel::ReplyDown(reply));
             }
             Parcel::ReplyDown(reply) => {
-                let here = self.sites[k].clock_at(at);
+                let here = self.sites[k].own_clock.at(at);
                 self.sites[k].clock.handle_reply(reply, here);
             }
             Parcel::ReportUp(report) => {
@@ -356,7 +307,6 @@ impl Simulation {
             Parcel::ChangeDown(delay_us, effective_at) => {
                 self.sites[k].handle_change(delay_us, effective_at, at);
             }
-            Parcel::Resend(direction, number) => self.transmit(k, direction, at, number),
         }
     }
 }

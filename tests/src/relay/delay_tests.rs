@@ -90,7 +90,8 @@ impl Line {
     fn is_full(&self, sent: u64) -> bool {
         let stats = self.relay.stats();
         let received = self.received.load(Ordering::Relaxed);
-        sent - stats.sent > WAITING_MAX || stats.delivered.saturating_sub(received) > WAITING_MAX
+        sent - stats.total.sent > WAITING_MAX
+            || stats.delivered.saturating_sub(received) > WAITING_MAX
     }
 
     /// Measured delays, and the lateness of each packet against its fate, ms.

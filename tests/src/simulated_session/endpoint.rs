@@ -1,0 +1,64 @@
+//! The network end of a simulated participant: its protocol session and its clock.
+
+use palpate_protocol::handshake::Hello;
+use palpate_protocol::session::ClientSession;
+
+use super::links::{Arrived, Links};
+use super::site_clock::SiteClock;
+use crate::network::Direction;
+
+/// A protocol session with the local clock of its participant. Times are true times in µs.
+pub(crate) struct Endpoint {
+    pub(crate) seat: usize,
+    pub(crate) clock: SiteClock,
+    pub(crate) session: ClientSession,
+    /// First error.
+    pub(crate) trouble: Option<String>,
+}
+
+impl Endpoint {
+    /// A session that requests to join.
+    pub(crate) fn new(seat: usize, hello: Hello, clock: SiteClock) -> Result<Self, String> {
+        let session = ClientSession::new(hello, clock.at(0)).map_err(|e| e.to_string())?;
+        Ok(Self {
+            seat,
+            clock,
+            session,
+            trouble: None,
+        })
+    }
+
+    /// Receives a packet.
+    pub(super) fn handle(&mut self, arrived: &Arrived<Vec<u8>>, at_us: i64) {
+        let now = self.clock.at(at_us);
+        match arrived {
+            Arrived::Stream(segments) => self.session.handle_stream(&segments.concat(), now),
+            Arrived::Datagram(bytes) => self.session.handle_datagram(bytes, now),
+        }
+    }
+
+    /// Handles the session's timeout if it is due.
+    pub(crate) fn handle_timeout(&mut self, at_us: i64) {
+        let now = self.clock.at(at_us);
+        if self.session.poll_timeout().is_some_and(|due| due <= now) {
+            self.session.handle_timeout(now);
+        }
+    }
+
+    /// Sends the session's output.
+    pub(super) fn send(&mut self, links: &mut Links<Vec<u8>>, at_us: i64) {
+        while let Some(bytes) = self.session.poll_stream() {
+            links.send_stream(self.seat, Direction::Up, at_us, &bytes);
+        }
+        while let Some(bytes) = self.session.poll_datagram(self.clock.at(at_us)) {
+            links.send_datagram(self.seat, Direction::Up, at_us, bytes);
+        }
+    }
+
+    /// Keeps the first error.
+    pub(crate) fn check<E: ToString>(&mut self, result: Result<(), E>) {
+        if let Err(error) = result {
+            self.trouble.get_or_insert(error.to_string());
+        }
+    }
+}
