@@ -28,7 +28,7 @@ mod trace;
 
 pub(crate) use alone::compute_alone;
 pub use clock::{device_time, monotonic_now, sleep_until, worked};
-pub use hand_loop::{DeviceCounts, ENABLE_EVERY, Frame, HandLoop, Turned, Wishes};
+pub use hand_loop::{DeviceCounts, ENABLE_EVERY, Frame, HandLoop, Turned, Wishes, local_sample};
 pub use handle::{HapticHandle, LoopSummary};
 pub use haptic_thread::{HapticPorts, RealtimeConfig, SpawnError, spawn};
 pub use pace::Pace;

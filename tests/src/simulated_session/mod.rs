@@ -22,11 +22,11 @@ pub(crate) mod wires;
 use std::sync::Arc;
 
 use palpate_client::Recording;
-use palpate_client::site::SiteCounters;
 use palpate_device::Script;
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role, ServerTime};
 use palpate_room::RoomConfig;
+use palpate_site::SiteCounters;
 use palpate_tissue::Model;
 use serde::Serialize;
 
@@ -165,7 +165,7 @@ impl SimulatedSession<'_> {
                 if trainee.wants_connection() {
                     wires.renew(seat);
                     host.renew(seat, ServerTime::from_micros(at_us));
-                    trainee.come_back(at_us);
+                    trainee.reconnect(at_us);
                 }
                 trainee.turn(at_us, &mut wires);
             }

@@ -4,11 +4,11 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use palpate_client::site::Site;
-use palpate_client::thin::ThinView;
 use palpate_protocol::handshake::{Hello, Subscription};
 use palpate_protocol::session::{ClientEvent, ClientSession, Picture};
 use palpate_protocol::{Grant, Role, ServerTime};
+use palpate_site::Site;
+use palpate_site::ThinView;
 use palpate_tissue::{Model, Shape};
 use serde::Serialize;
 

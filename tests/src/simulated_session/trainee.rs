@@ -2,19 +2,17 @@
 
 use std::sync::Arc;
 
-use palpate_client::convert::{local_sample, tool_description};
-use palpate_client::realtime::{HandLoop, Wishes, device_time};
-use palpate_client::recording::{HapticPoint, Recording, ToolRecord, ViewRecord, choose_nodes};
-use palpate_client::replica::hand_budget;
-use palpate_client::requests::Requests;
-use palpate_client::site::{Site, SiteCounters, ViewFrame};
-use palpate_client::view::VIEW_TOLERANCE;
+use palpate_client::realtime::{HandLoop, Wishes, device_time, local_sample};
+use palpate_client::recording::{HapticPoint, Recording, ViewRecord};
+use palpate_client::tool_description;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::{HapticDevice, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel};
-use palpate_protocol::handshake::{Hello, Resume, Subscription};
+use palpate_protocol::compensation::DelaySchedule;
+use palpate_protocol::handshake::{Hello, Subscription, Welcome};
 use palpate_protocol::session::{ClientEvent, ClientSession};
-use palpate_protocol::{ClientTime, Grant, OperationId, ParticipantId, Role, Span, TopologyHash};
+use palpate_protocol::{ClientTime, Grant, Role, Span};
+use palpate_site::{Action, Reconnector, Site, SiteCounters, VIEW_TOLERANCE, hand_budget};
 use palpate_tissue::{Budget, Model};
 
 use super::clock::SiteClock;
@@ -31,6 +29,9 @@ const HAPTIC_EVERY: u64 = 4;
 /// Solver iterations per view, as in the client.
 const VIEW_ITERATIONS: usize = 2;
 
+/// How long a trainee tries to reconnect, as in the client.
+const PATIENCE: Span = Span::from_millis(60_000);
+
 /// Error message of a participant that cannot continue.
 pub(super) type Trouble = String;
 
@@ -46,11 +47,12 @@ pub(super) struct Trainee {
     hand: HandLoop,
     contact: ContactModel,
     hello: Hello,
-    session: ClientSession,
-    requests: Requests,
-    /// Seat and position in the operation log, for a reconnect.
-    resume: Option<Resume>,
-    wants_connection: bool,
+    /// The present connection; `None` while it waits for the next one.
+    session: Option<ClientSession>,
+    /// The seat; `None` before the join.
+    reconnector: Option<Reconnector>,
+    /// The connection to open next.
+    next_connection: Option<(Box<Hello>, DelaySchedule)>,
     site: Option<Site>,
     pub(super) mishaps: Vec<Mishap>,
     first_view: Option<ClientTime>,
@@ -94,11 +96,10 @@ impl Trainee {
             solves: true,
             hand,
             contact: ContactModel::free_at(now, 0),
-            session: ClientSession::new(hello.clone(), now).map_err(|e| e.to_string())?,
+            session: Some(ClientSession::new(hello.clone(), now).map_err(|e| e.to_string())?),
             hello,
-            requests: Requests::new(ParticipantId::SERVER),
-            resume: None,
-            wants_connection: false,
+            reconnector: None,
+            next_connection: None,
             site: None,
             mishaps: Vec::new(),
             first_view: None,
@@ -124,13 +125,17 @@ impl Trainee {
 
     /// Receives bytes of the operations stream at a true time.
     pub(super) fn handle_stream(&mut self, bytes: &[u8], at_us: i64) {
-        self.session.handle_stream(bytes, self.clock.at(at_us));
+        if let Some(session) = &mut self.session {
+            session.handle_stream(bytes, self.clock.at(at_us));
+        }
         self.take_events(at_us);
     }
 
     /// Receives a datagram at a true time.
     pub(super) fn handle_datagram(&mut self, bytes: &[u8], at_us: i64) {
-        self.session.handle_datagram(bytes, self.clock.at(at_us));
+        if let Some(session) = &mut self.session {
+            session.handle_datagram(bytes, self.clock.at(at_us));
+        }
         self.take_events(at_us);
     }
 
@@ -138,18 +143,27 @@ impl Trainee {
     pub(super) fn turn(&mut self, at_us: i64, wires: &mut Wires) {
         let now = self.clock.at(at_us);
         self.feel(now, at_us);
-        if self.session.poll_timeout().is_some_and(|due| due <= now) {
-            self.session.handle_timeout(now);
+        if let Some(session) = &mut self.session
+            && session.poll_timeout().is_some_and(|due| due <= now)
+        {
+            session.handle_timeout(now);
         }
         self.take_events(at_us);
+        if let Some(reconnector) = &mut self.reconnector {
+            reconnector.handle_timeout(now);
+            self.act(now);
+        }
         if self.ticks.is_multiple_of(HAPTIC_EVERY) {
             self.live(now, at_us);
         }
         self.ticks += 1;
-        while let Some(bytes) = self.session.poll_stream() {
+        let Some(session) = &mut self.session else {
+            return;
+        };
+        while let Some(bytes) = session.poll_stream() {
             wires.send_stream(self.seat, Direction::Up, &bytes, at_us.unsigned_abs());
         }
-        while let Some(bytes) = self.session.poll_datagram(now) {
+        while let Some(bytes) = session.poll_datagram(now) {
             wires.send_datagram(self.seat, Direction::Up, bytes, at_us.unsigned_abs());
         }
     }
@@ -169,7 +183,9 @@ impl Trainee {
         }
         if turned.is_good && self.site.is_some() {
             let sample = local_sample(&frame);
-            self.session.send_motion(sample);
+            if let Some(session) = &mut self.session {
+                session.send_motion(sample);
+            }
             if let Some(site) = &mut self.site {
                 site.handle_own(&sample);
             }
@@ -189,47 +205,70 @@ impl Trainee {
 
     fn take_events(&mut self, at_us: i64) {
         let now = self.clock.at(at_us);
-        while let Some(mut event) = self.session.poll_event() {
-            self.requests.handle_event(&event);
-            match &event {
-                ClientEvent::Welcomed(welcome) => {
-                    self.recording.participant = welcome.participant.0;
-                    self.resume = Some(Resume::after_welcome(welcome, self.resume));
-                    if self.site.is_none() {
-                        let model = Arc::clone(&self.model);
-                        self.requests = Requests::new(welcome.participant);
-                        let new = if self.solves { Site::new } else { Site::thin };
-                        self.site = Some(new(welcome, model, self.blade_length_m));
-                        continue;
-                    }
-                    for request in self.requests.unanswered() {
-                        if let Err(error) = self.session.send_request(request) {
-                            self.trouble.get_or_insert(error.to_string());
-                        }
-                    }
+        while let Some(event) = self.session.as_mut().and_then(ClientSession::poll_event) {
+            match (event, &mut self.reconnector) {
+                (ClientEvent::Welcomed(welcome), None) => self.join(&welcome),
+                (ClientEvent::Welcomed(welcome), Some(reconnector)) => {
+                    reconnector.handle_welcome(welcome, now);
                 }
-                ClientEvent::Operation(operation) => {
-                    if let Some(resume) = &mut self.resume {
-                        resume.note(operation);
-                    }
+                (ClientEvent::Closed(reason), None) => self.fail(&reason),
+                (ClientEvent::Closed(reason), Some(reconnector)) if !reconnector.is_connected() => {
+                    reconnector.handle_failure(reason.to_string(), now);
                 }
-                ClientEvent::LinkLost => self.link_lost = true,
-                ClientEvent::LinkRestored => self.link_lost = false,
-                ClientEvent::Closed(reason) => {
-                    self.trouble.get_or_insert(reason.to_string());
-                }
-                _ => {}
+                (event, Some(reconnector)) => reconnector.handle_event(event, now),
+                (_, None) => {}
             }
-            let since = self.first_view.map(|first| now - first);
-            for mishap in &mut self.mishaps {
-                mishap.spoil(&mut event, since);
-            }
-            if let Some(site) = &mut self.site
-                && let Err(error) = site.handle_event(event, now)
-            {
-                self.trouble.get_or_insert(error.to_string());
+            self.act(now);
+        }
+    }
+
+    fn join(&mut self, welcome: &Welcome) {
+        self.recording.participant = welcome.participant.0;
+        let new = if self.solves { Site::new } else { Site::thin };
+        self.site = Some(new(welcome, Arc::clone(&self.model), self.blade_length_m));
+        let hello = self.hello.clone();
+        self.reconnector = Some(Reconnector::new(hello, welcome, PATIENCE, 0));
+    }
+
+    /// Carries out the actions of the reconnector.
+    fn act(&mut self, now: ClientTime) {
+        while let Some(action) = self.reconnector.as_mut().and_then(Reconnector::poll_action) {
+            match action {
+                Action::Deliver(event) => self.deliver(event, now),
+                Action::Send(request) => {
+                    let session = self.session.as_mut();
+                    if let Some(Err(error)) = session.map(|s| s.send_request(request)) {
+                        self.fail(&error);
+                    }
+                }
+                Action::Disconnect => self.session = None,
+                Action::Connect(hello, delay) => self.next_connection = Some((hello, delay)),
+                Action::End(_) => {}
             }
         }
+    }
+
+    /// Delivers an event to the site, with the faults of this trainee.
+    fn deliver(&mut self, mut event: ClientEvent, now: ClientTime) {
+        match &event {
+            ClientEvent::LinkLost => self.link_lost = true,
+            ClientEvent::LinkRestored => self.link_lost = false,
+            ClientEvent::Closed(reason) => self.fail(reason),
+            _ => {}
+        }
+        let since = self.first_view.map(|first| now - first);
+        for mishap in &mut self.mishaps {
+            mishap.spoil(&mut event, since);
+        }
+        if let Some(site) = &mut self.site
+            && let Err(error) = site.handle_event(event, now)
+        {
+            self.fail(&error);
+        }
+    }
+
+    fn fail(&mut self, error: &impl ToString) {
+        self.trouble.get_or_insert(error.to_string());
     }
 
     /// The work of the client's replica thread every 4 ms, without the haptic step.
@@ -252,15 +291,17 @@ impl Trainee {
         };
         if let Some(frame) = site.view_step(now, budget) {
             self.first_view.get_or_insert(now);
-            let view = record(site, &frame, at_us);
+            let shown = ClientTime::from_micros(at_us);
+            let view = site.seen();
+            let view = view.map(|(shape, version)| ViewRecord::new(&frame, shape, version, shown));
             self.recording.views.extend(view);
         }
-        self.wants_connection |= site.poll_rejoin().is_some();
-        let stands = self.session.participant().is_some();
-        while let Some(request) = site.poll_request().filter(|_| stands) {
-            let request = self.requests.number(request);
-            if let Err(error) = self.session.send_request(request) {
-                self.trouble.get_or_insert(error.to_string());
+        if let Some(reconnector) = &mut self.reconnector {
+            if let Some(why) = site.poll_resync() {
+                reconnector.handle_resync(why, now);
+            }
+            while let Some(request) = site.poll_request() {
+                reconnector.handle_request(request, true);
             }
         }
         while let Some(mut operation) = site.poll_applied() {
@@ -268,30 +309,25 @@ impl Trainee {
             self.recording.operations.push(operation);
         }
         while site.poll_notice().is_some() {}
+        self.act(now);
     }
 
-    /// Whether the site requests a new connection.
+    /// Whether the trainee requests a new connection.
     pub(super) fn wants_connection(&self) -> bool {
-        self.wants_connection
+        self.next_connection.is_some()
     }
 
-    /// Reconnects to its seat and requests the whole operation log.
-    pub(super) fn come_back(&mut self, at_us: i64) {
-        self.wants_connection = false;
-        let hello = Hello {
-            resume: self.resume.map(|resume| Resume {
-                next_operation: OperationId(0),
-                topology_version: 0,
-                topology_hash: TopologyHash(0),
-                ..resume
-            }),
-            ..self.hello.clone()
+    /// Opens the requested connection.
+    pub(super) fn reconnect(&mut self, at_us: i64) {
+        let Some((hello, delay)) = self.next_connection.take() else {
+            return;
         };
-        match ClientSession::new(hello, self.clock.at(at_us)) {
-            Ok(session) => self.session = session,
-            Err(error) => {
-                self.trouble.get_or_insert(error.to_string());
+        match ClientSession::new(*hello, self.clock.at(at_us)) {
+            Ok(mut session) => {
+                session.go_on_with(delay);
+                self.session = Some(session);
             }
+            Err(error) => self.fail(&error),
         }
     }
 
@@ -305,25 +341,4 @@ impl Trainee {
         let topology = self.site.as_ref()?.replica().topology();
         Some((topology.version(), topology.hash().0))
     }
-}
-
-fn record(site: &mut Site, frame: &ViewFrame, at_us: i64) -> Option<ViewRecord> {
-    let (shape, version) = site.seen()?;
-    let moved = shape.displacement.iter().enumerate();
-    Some(ViewRecord {
-        s_us: frame.s.as_micros(),
-        shown_us: at_us,
-        delay_us: frame.delay.as_micros(),
-        tools: frame
-            .tools
-            .iter()
-            .map(|t| ToolRecord {
-                participant: t.participant.0,
-                position_m: t.position.into(),
-                stale: t.stale,
-            })
-            .collect(),
-        nodes: choose_nodes(moved.map(|(n, u)| (n as u32, (*u).into()))),
-        topology_version: version,
-    })
 }
