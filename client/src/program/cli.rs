@@ -1,7 +1,6 @@
 //! The command line: `palpate-client join LINK` and `palpate-client devices`.
 
 use std::ffi::OsString;
-use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -10,6 +9,7 @@ use clap::{Parser, Subcommand};
 use palpate_protocol::handshake::Subscription;
 use palpate_transport::state::state_folder;
 
+use super::output::{complain, print};
 use crate::devices::{self, DeviceChoice, DevicesArguments, Sources};
 use crate::{ClientError, JoinOptions, StartAt, StatusKind, Summary, run as join};
 
@@ -215,14 +215,9 @@ fn report(outcome: &Result<Summary, ClientError>, json: bool) -> ExitCode {
         } else {
             summary.to_string()
         };
-        let mut out = std::io::stdout().lock();
-        match writeln!(out, "{text}").and_then(|()| out.flush()) {
-            // A reader may close the pipe early.
-            Err(e) if e.kind() != ErrorKind::BrokenPipe => {
-                complain(&format!("the summary can not be printed: {e}"));
-                return ExitCode::FAILURE;
-            }
-            _ => {}
+        if let Err(error) = print(&format!("{text}\n")) {
+            complain(&error);
+            return ExitCode::FAILURE;
         }
     }
     match outcome {
@@ -232,11 +227,6 @@ fn report(outcome: &Result<Summary, ClientError>, json: bool) -> ExitCode {
             ExitCode::from(error.exit_code())
         }
     }
-}
-
-fn complain(sentence: &str) {
-    // A closed standard error is ignored.
-    let _ = writeln!(std::io::stderr(), "palpate-client: {sentence}");
 }
 
 #[cfg(test)]

@@ -9,7 +9,6 @@ use palpate_protocol::{ModelHash, ProtocolError, Role};
 use palpate_tissue::{FileError, WriteError};
 use palpate_transport::TransportError;
 
-use crate::realtime::SpawnError;
 use crate::{DeviceError, Summary};
 
 /// Error of a run, with a message for the user.
@@ -75,8 +74,8 @@ pub enum ClientError {
     #[error("invalid session model: {0}")]
     Model(#[from] FileError),
     /// The force loop did not start.
-    #[error(transparent)]
-    Haptics(#[from] SpawnError),
+    #[error("cannot start the haptic thread: {0}")]
+    Haptics(std::io::Error),
     /// The operating system failed to start a thread or the network runtime.
     #[error("cannot start a thread: {0}")]
     System(#[from] std::io::Error),

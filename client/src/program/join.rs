@@ -150,7 +150,8 @@ impl Threads {
             };
             name.clone_from(&device.caps().name);
             let chain = Chain::new(ChainConfig::default(), device.caps());
-            let (handle, ports) = spawn(device, chain, loop_config(options))?;
+            let (handle, ports) =
+                spawn(device, chain, loop_config(options)).map_err(ClientError::Haptics)?;
             let (thread, own) = MotionThread::spawn(ports.frames, session.commands.clone())?;
             haptics = Some(handle);
             motion = Some(thread);

@@ -6,7 +6,7 @@ use palpate_haptics::Counters;
 use palpate_transport::threads::CpuUsage;
 use serde::{Deserialize, Serialize};
 
-use crate::realtime::{DeviceCounts, LoopStats, Percentiles};
+use crate::realtime::{DeviceCounts, Lateness, LoopStats};
 
 /// Summary of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -96,30 +96,6 @@ pub struct Summary {
     pub seconds: f64,
     /// How the session ended.
     pub ended: String,
-}
-
-/// Percentiles of lateness, µs.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Lateness {
-    /// Median.
-    pub p50: u64,
-    /// 99th percentile.
-    pub p99: u64,
-    /// 99.9th percentile.
-    pub p999: u64,
-    /// Maximum.
-    pub max: u64,
-}
-
-impl From<Percentiles> for Lateness {
-    fn from(p: Percentiles) -> Self {
-        Self {
-            p50: p.p50,
-            p99: p.p99,
-            p999: p.p999,
-            max: p.max,
-        }
-    }
 }
 
 /// Percentiles of solve times, ms.
@@ -212,7 +188,7 @@ impl Summary {
     pub(crate) fn take_loop(&mut self, stats: &LoopStats) {
         self.ticks = stats.ticks;
         self.rate_hz = stats.rate_hz;
-        self.lateness_us = stats.lateness_us.into();
+        self.lateness_us = stats.lateness_us;
         self.missed = stats.missed;
         self.force_max_n = stats.counters.max_force_n;
         self.events = EventCounts::of(&stats.counters, stats.device, stats.frames_dropped);

@@ -2,7 +2,6 @@
 
 use nalgebra::Vector3;
 use palpate_device::{Buttons, Pose};
-use palpate_haptics::Events;
 use palpate_protocol::ClientTime;
 
 /// One recorded tick.
@@ -16,8 +15,6 @@ pub struct TracePoint {
     pub buttons: Buttons,
     /// Force on the tool, N.
     pub force: Vector3<f64>,
-    /// Events of the tick.
-    pub events: Events,
 }
 
 /// Every n-th tick of a run, in preallocated memory.
@@ -75,7 +72,6 @@ impl Trace {
 mod tests {
     use nalgebra::Vector3;
     use palpate_device::{Buttons, Pose};
-    use palpate_haptics::Events;
     use palpate_protocol::ClientTime;
 
     use super::{Trace, TracePoint};
@@ -89,7 +85,6 @@ mod tests {
                 pose: Pose::default(),
                 buttons: Buttons::NONE,
                 force: Vector3::zeros(),
-                events: Events::NONE,
             });
         }
         assert_eq!(trace.points().len(), 10);

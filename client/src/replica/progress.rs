@@ -30,7 +30,7 @@ impl Part {
             Self::Resyncing
         } else if site.is_catching_up() {
             Self::CatchingUp
-        } else if site.is_watching() {
+        } else if site.is_demoted() {
             Self::Demoted
         } else {
             Self::Participating

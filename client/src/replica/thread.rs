@@ -414,7 +414,7 @@ impl ReplicaLoop {
         progress.delay = delay;
         progress.clock_error = site.clock().map(|c| c.error_bound());
         progress.topology_version = site.replica().topology().version();
-        progress.here = site.roster().len();
+        progress.here = site.roster().count();
         progress.link_lost = self.link_lost;
         progress.part = Part::of(site);
         progress.thin = site.replica().thin_view().map(ThinView::counters);

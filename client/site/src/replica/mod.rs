@@ -164,11 +164,6 @@ impl Replica {
         self.haptic.as_ref().map(|h| &h.shape)
     }
 
-    /// Bricks visited by the latest haptic step, a machine-independent measure of cost.
-    pub fn haptic_bricks(&self) -> Option<usize> {
-        self.haptic.as_ref().map(|h| h.solver.report().visits[0])
-    }
-
     /// Relative residual of the latest haptic solve; `None` for spectators.
     pub fn haptic_residual(&self) -> Option<f64> {
         let side = self.haptic.as_ref()?;

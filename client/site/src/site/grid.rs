@@ -16,7 +16,7 @@ impl Site {
         let before = self.clock.replace(map);
         let is_set_back = before.is_some_and(|b| b.to_server(now) - map.to_server(now) > SET_BACK);
         if is_set_back {
-            (self.last_k, self.first_view, self.made_up) = (None, None, None);
+            (self.last_k, self.first_view, self.extrapolated) = (None, None, None);
             self.resync_policy.restart();
             // Its samples were stamped in the future.
             self.roster.lose(self.me);

@@ -127,7 +127,7 @@ pub struct Site {
     last_k: Option<i64>,
     first_view: Option<ServerTime>,
     /// The newest view with poses extrapolated too far, because a network was too slow.
-    made_up: Option<ServerTime>,
+    extrapolated: Option<ServerTime>,
     deferred: VecDeque<Operation>,
     /// Whether the cut worker and the view thread run elsewhere.
     is_detached: bool,
@@ -172,7 +172,7 @@ impl Site {
             tick_hz: i64::from(welcome.tick_hz.max(1)),
             last_k: None,
             first_view: None,
-            made_up: None,
+            extrapolated: None,
             deferred: VecDeque::new(),
             is_detached: false,
             cuts: Cuts::default(),
@@ -229,7 +229,7 @@ impl Site {
                     self.roster.insert(track.participant, sample);
                 }
             }
-            ClientEvent::Displacements(news) => self.handle_picture(news, now),
+            ClientEvent::Displacements(news) => self.handle_displacements(news, now),
             // A thin subscriber has nothing to correct.
             ClientEvent::Corrections(_) if self.is_thin() => {}
             ClientEvent::Corrections(corrections) => {
@@ -245,7 +245,7 @@ impl Site {
             ClientEvent::Clock(map) => self.take_clock(map, now),
             ClientEvent::LinkLost => self.notice("no packets from the server".to_owned()),
             ClientEvent::LinkRestored => self.notice("the server is reachable again".to_owned()),
-            ClientEvent::Welcomed(welcome) => self.handle_return(&welcome, now)?,
+            ClientEvent::Welcomed(welcome) => self.handle_resumed(&welcome, now)?,
             ClientEvent::Motion(_) | ClientEvent::Delays(_) | ClientEvent::Closed(_) => {}
         }
         Ok(())
@@ -350,8 +350,8 @@ impl Site {
         self.last_k = Some(k);
         let s = grid_moment(k, self.tick_hz);
         self.first_view.get_or_insert(s);
-        if self.roster.is_made_up(s) {
-            self.made_up = Some(s);
+        if self.roster.is_extrapolated(s) {
+            self.extrapolated = Some(s);
         }
         if let Some(thin) = self.replica.thin_view_mut() {
             thin.advance(s);
@@ -430,7 +430,7 @@ impl Site {
     }
 
     /// Whether this participant is demoted because of the network.
-    pub fn is_watching(&self) -> bool {
+    pub fn is_demoted(&self) -> bool {
         self.roster.is_demoted(self.me)
     }
 

@@ -104,10 +104,10 @@ impl Site {
         }
         let max = &mut self.counters.drift_max_m;
         *max = max.max(drift.max_m);
-        let is_made_up = self
-            .made_up
-            .is_some_and(|made_up| view_time - made_up < DRIFT_PATIENCE);
-        if is_made_up || self.roster.is_demoted(self.me) {
+        let is_extrapolated = self
+            .extrapolated
+            .is_some_and(|extrapolated| view_time - extrapolated < DRIFT_PATIENCE);
+        if is_extrapolated || self.roster.is_demoted(self.me) {
             // Poses of a slow network cause this drift; a resync would not help.
             return self.resync_policy.restart();
         }
@@ -126,7 +126,7 @@ impl Site {
     }
 
     /// Processes a resumed connection: the log continues, or begins again with a resync.
-    pub(super) fn handle_return(
+    pub(super) fn handle_resumed(
         &mut self,
         welcome: &Welcome,
         now: ClientTime,
@@ -159,7 +159,7 @@ impl Site {
         self.schedule = DelaySchedule::new(&welcome.compensation);
         self.expected = Some((welcome.topology_version, welcome.topology_hash));
         self.started = welcome.session_started_at;
-        (self.first_view, self.made_up) = (None, None);
+        (self.first_view, self.extrapolated) = (None, None);
         self.deferred = VecDeque::new();
         self.is_detached = false;
         self.unreported = None;

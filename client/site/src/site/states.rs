@@ -94,14 +94,14 @@ fn run(from: &str, what: &str) -> &'static str {
             tell(&mut site, cut_of(hash_of_the_cut()), 2050);
             site.handle_event(ClientEvent::CaughtUp, ms(2060))
         }
-        other => panic!("no test for \"{other}\" of a copy"),
+        other => panic!("no test for \"{other}\" of a replica"),
     };
     state_of(&site, &result)
 }
 
 #[test]
 fn replica_transitions_match_documented_table() {
-    let section = DOCUMENT.split("## Copy\n").nth(1).unwrap();
+    let section = DOCUMENT.split("## Replica\n").nth(1).unwrap();
     let lines = section.lines().filter(|l| l.starts_with('|')).skip(2);
     let rows: Vec<Vec<&str>> = lines
         .map(|l| l.split('|').map(str::trim).collect())

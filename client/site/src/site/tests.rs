@@ -178,9 +178,9 @@ fn left_participant_is_shown_until_its_leave_time() {
     };
     tell(&mut site, operation(0, 5100, left), 110);
     site.advance(ms(140)).unwrap();
-    assert_eq!(site.roster().len(), 2);
+    assert_eq!(site.roster().count(), 2);
     site.advance(ms(150)).unwrap();
-    assert_eq!(site.roster().len(), 1);
+    assert_eq!(site.roster().count(), 1);
     let applied = site.poll_applied().unwrap();
     assert_eq!(
         (applied.kind.as_str(), applied.applied_us),
@@ -385,13 +385,13 @@ fn demoted_hand_has_no_force_until_restored() {
     };
     tell(&mut site, operation(0, 5020, kind), 20);
     site.advance(ms(30)).unwrap();
-    assert!(site.is_watching() && !felt(&mut site, 40));
+    assert!(site.is_demoted() && !felt(&mut site, 40));
     let said = site.poll_notice().unwrap();
     assert!(said.contains("530 ms") && said.contains("400"), "{said}");
     let kind = OperationKind::Restored { participant: ME };
     tell(&mut site, operation(1, 5050, kind), 50);
     site.advance(ms(60)).unwrap();
-    assert!(!site.is_watching() && felt(&mut site, 70));
+    assert!(!site.is_demoted() && felt(&mut site, 70));
 }
 
 #[test]

@@ -23,7 +23,7 @@ impl Site {
     }
 
     /// Passes surface displacements to the thin view; full subscribers ignore them.
-    pub(super) fn handle_picture(&mut self, news: Displacements, now: ClientTime) {
+    pub(super) fn handle_displacements(&mut self, news: Displacements, now: ClientTime) {
         let s = self.moment(now).map(|(s, _)| s);
         if let Some(thin) = self.replica.thin_view_mut() {
             thin.tell(news, s);

@@ -6,7 +6,7 @@ use palpate_protocol::compensation::BRIDGE;
 use palpate_protocol::handshake::{ROSTER_MAX, RosterEntry};
 use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::ToolDescription;
-use palpate_protocol::{ParticipantId, Role, ServerTime, Span, ToolSample};
+use palpate_protocol::{ParticipantId, ServerTime, Span, ToolSample};
 
 use super::ToolAt;
 
@@ -20,7 +20,6 @@ const SILENT: Span = Span::from_millis(2000);
 #[derive(Debug, Clone)]
 struct Seat {
     name: String,
-    role: Role,
     tool: Option<ToolDescription>,
     /// Whether the participant is demoted: the tool is inactive, because the participant's network is too slow.
     demoted: bool,
@@ -59,11 +58,10 @@ impl Roster {
     /// no server admits more.
     pub fn join(&mut self, entry: RosterEntry) {
         if let Some(seat) = self.seats.get_mut(&entry.participant) {
-            (seat.name, seat.role, seat.tool) = (entry.name, entry.role, entry.tool);
+            (seat.name, seat.tool) = (entry.name, entry.tool);
         } else if self.seats.len() < ROSTER_MAX {
             let seat = Seat {
                 name: entry.name,
-                role: entry.role,
                 tool: entry.tool,
                 demoted: false,
                 seen: Timeline::default(),
@@ -124,7 +122,7 @@ impl Roster {
 
     /// Whether a tool's pose at `s` is extrapolated from samples that are too old, so that the view differs from the
     /// server's because of the network. Silent participants have no active tool.
-    pub fn is_made_up(&self, s: ServerTime) -> bool {
+    pub fn is_extrapolated(&self, s: ServerTime) -> bool {
         let others = self.seats.values().filter(|seat| !seat.demoted);
         let mut newest = others.filter_map(|seat| seat.seen.newest());
         newest.any(|newest| (BRIDGED_MAX..SILENT).contains(&(s - newest)))
@@ -151,25 +149,15 @@ impl Roster {
     }
 
     /// Number of participants.
-    pub fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.seats.len()
-    }
-
-    /// Whether the roster is empty.
-    pub fn is_empty(&self) -> bool {
-        self.seats.is_empty()
-    }
-
-    /// Number of participants with a tool.
-    pub fn tools(&self) -> usize {
-        self.seats.values().filter(|s| s.role.has_tool()).count()
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use palpate_protocol::Pose;
     use palpate_protocol::tool::ToolKind;
+    use palpate_protocol::{Pose, Role};
 
     use super::*;
 

@@ -165,7 +165,8 @@ impl Bench {
                 self.view.take(*cut);
             }
         }
-        (model, self.site.replica().haptic_bricks().unwrap())
+        let side = self.site.replica().haptic.as_ref().unwrap();
+        (model, side.solver.report().visits[0])
     }
 
     fn version(&self) -> u32 {
