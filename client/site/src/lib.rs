@@ -1,4 +1,29 @@
-//! One participant's site.
+//! One participant's site: replica, view and connection of a session, as pure state machines.
+//!
+//! ```text
+//! connection --ClientEvent--> Reconnector --ClientEvent--> Site --ContactModel--> force loop
+//!            <---Hello, Request---------- <--RequestKind--      --ViewFrame-----> view
+//!                                                 |
+//!                                      Replica: two shapes of the tissue,
+//!                                      Roster: the tools of all participants
+//! ```
+//!
+//! Nothing here has a clock, a thread or a socket: time is an argument. The client runs these machines in real time,
+//! the laboratory in virtual time.
+//!
+//! ```
+//! use std::sync::Arc;
+//!
+//! use palpate_protocol::ClientTime;
+//! use palpate_site::{Replica, hand_budget};
+//! use palpate_tissue::{Material, block};
+//!
+//! let model = Arc::new(block([4, 4, 4], 4e-3, &Material::default(), 1));
+//! let mut replica = Replica::new(model, true);
+//! let mut never = || false;
+//! let contact = replica.haptic_step(ClientTime::ZERO, None, &[], hand_budget(&mut never));
+//! assert!(!contact.in_contact(), "without a tool");
+//! ```
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

@@ -7,7 +7,8 @@ use palpate_protocol::{ClientTime, Span};
 
 use crate::StatusKind;
 use crate::network::FetchProgress;
-use crate::replica::Part;
+use crate::realtime::LoopStats;
+use crate::replica::{Part, Progress};
 
 /// Update period on a terminal: short enough to see force changes.
 const ON_TERMINAL: Span = Span::from_millis(250);
@@ -23,26 +24,12 @@ const BAR_FROM_BYTES: u64 = 256 * 1024;
 pub(super) struct Figures {
     pub(super) seconds: f64,
     /// `None` for spectators.
-    pub(super) hand: Option<HandFigures>,
+    pub(super) hand: Option<LoopStats>,
     pub(super) rtt_ms: Option<f64>,
     pub(super) loss: f64,
-    pub(super) delay_ms: f64,
-    pub(super) here: usize,
-    pub(super) topology_version: u32,
-    pub(super) link_lost: bool,
-    pub(super) part: Part,
     /// Received data, kbit/s of UDP payload.
     pub(super) down_kbit_s: f64,
-    /// Nodes queued at the server; `None` for a full subscription.
-    pub(super) thin_waiting: Option<u32>,
-}
-
-/// Figures of the force loop.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct HandFigures {
-    pub(super) rate_hz: f64,
-    pub(super) lateness_p99_us: u64,
-    pub(super) force_n: f64,
+    pub(super) replica: Progress,
 }
 
 impl Figures {
@@ -50,24 +37,24 @@ impl Figures {
         let hand = self.hand.map_or(String::new(), |h| {
             format!(
                 "{:4.0} Hz, late {:3} µs | force {:5.2} N | ",
-                h.rate_hz, h.lateness_p99_us, h.force_n
+                h.rate_hz, h.lateness_us.p99, h.force_n
             )
         });
         let rtt = self
             .rtt_ms
             .map_or("   ?".to_owned(), |rtt| format!("{rtt:5.1} ms"));
-        let link_lost = if self.link_lost {
+        let link_lost = if self.replica.link_lost {
             " | LINK LOST, no force"
         } else {
             ""
         };
-        let part = match self.part {
+        let part = match self.replica.part {
             Part::Participating => "",
             Part::CatchingUp => " | catching up",
             Part::Resyncing => " | RESYNC, no force",
             Part::Demoted => " | WATCHING, the network is too slow",
         };
-        let subscription = match self.thin_waiting {
+        let subscription = match self.replica.thin.map(|t| t.waiting) {
             None => format!("full {:.0} kbit/s", self.down_kbit_s),
             Some(n) => format!("thin {:.0} kbit/s, {n} nodes wait", self.down_kbit_s),
         };
@@ -75,9 +62,9 @@ impl Figures {
             "{:6.1} s | {hand}rtt {rtt}, loss {:4.1} %, D {:5.1} ms | {subscription} | {} here, {} cuts{link_lost}{part}",
             self.seconds,
             self.loss * 100.0,
-            self.delay_ms,
-            self.here,
-            self.topology_version
+            self.replica.delay.as_millis_f64(),
+            self.replica.here,
+            self.replica.topology_version
         )
     }
 }
@@ -180,20 +167,30 @@ pub(super) fn fetch_progress(kind: StatusKind) -> FetchProgress {
 
 #[cfg(test)]
 mod tests {
+    use palpate_site::ThinCounters;
+
     use super::*;
+    use crate::realtime::Lateness;
 
     #[test]
     fn status_line_shows_hand_figures_only_with_a_hand() {
         let mut figures = Figures {
-            hand: Some(HandFigures {
+            hand: Some(LoopStats {
                 rate_hz: 1000.0,
-                lateness_p99_us: 42,
+                lateness_us: Lateness {
+                    p99: 42,
+                    ..Lateness::default()
+                },
                 force_n: 1.25,
+                ..LoopStats::default()
             }),
             rtt_ms: Some(120.0),
             loss: 0.05,
-            delay_ms: 92.0,
-            here: 2,
+            replica: Progress {
+                delay: Span::from_millis(92),
+                here: 2,
+                ..Progress::default()
+            },
             ..Figures::default()
         };
         let line = figures.line();
@@ -204,13 +201,17 @@ mod tests {
         }
         assert!(line.contains("full") && !line.contains("wait"), "{line}");
         figures.hand = None;
-        figures.link_lost = true;
-        (figures.thin_waiting, figures.down_kbit_s) = (Some(31), 812.4);
+        figures.replica.link_lost = true;
+        figures.replica.thin = Some(ThinCounters {
+            waiting: 31,
+            ..ThinCounters::default()
+        });
+        figures.down_kbit_s = 812.4;
         let line = figures.line();
         assert!(line.contains("thin 812 kbit/s, 31 nodes wait"), "{line}");
         assert!(!line.contains("Hz") && line.contains("LINK LOST"), "{line}");
         for (part, word) in [(Part::Resyncing, "RESYNC"), (Part::Demoted, "WATCHING")] {
-            figures.part = part;
+            figures.replica.part = part;
             assert!(figures.line().contains(word), "{}", figures.line());
         }
     }

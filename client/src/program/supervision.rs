@@ -11,10 +11,10 @@ use palpate_transport::threads::{self, CpuTime, Scheduling};
 
 use super::ending::{Ending, conclude};
 use super::join::Threads;
-use super::status::{Figures, HandFigures, Status};
+use super::status::{Figures, Status};
 use crate::network::{MotionThread, Network};
-use crate::realtime::{HapticHandle, LoopSummary, TracePoint, monotonic_now, sleep_until};
-use crate::recording::{HapticPoint, Recording};
+use crate::realtime::{HapticHandle, LoopSummary, monotonic_now, sleep_until};
+use crate::recording::Recording;
 use crate::replica::{Part, Progress};
 use crate::{ClientError, JoinOptions, Summary};
 
@@ -59,7 +59,7 @@ impl Supervision<'_> {
     pub(super) fn supervise(&mut self) -> Ending {
         loop {
             let now = monotonic_now();
-            let progress = self.threads.replica.progress();
+            let mut progress = self.threads.replica.progress();
             if let Some(haptics) = &self.threads.haptics {
                 // No force of a replica that differs from the server's is rendered.
                 haptics.set_link_lost(progress.link_lost || progress.part == Part::Resyncing);
@@ -73,7 +73,7 @@ impl Supervision<'_> {
             if self.network.is_broken() {
                 return Ending::Panicked("network");
             }
-            if let Some(ending) = progress.ending {
+            if let Some(ending) = progress.ending.take() {
                 return ending;
             }
             if !self.threads.replica.is_running() {
@@ -94,7 +94,7 @@ impl Supervision<'_> {
                 return Ending::Wish(sentence);
             }
             if self.status.is_due(now) {
-                let figures = self.figures(stayed, &progress);
+                let figures = self.figures(stayed, progress);
                 self.status.show(&figures, now);
             }
             sleep_until(now + POLL_PERIOD);
@@ -124,15 +124,8 @@ impl Supervision<'_> {
         self.connection = now;
     }
 
-    fn figures(&mut self, stayed: Span, progress: &Progress) -> Figures {
-        let hand = self.threads.haptics.as_mut().map(|haptics| {
-            let stats = haptics.stats();
-            HandFigures {
-                rate_hz: stats.rate_hz,
-                lateness_p99_us: stats.lateness_us.p99,
-                force_n: stats.force_n,
-            }
-        });
+    fn figures(&mut self, stayed: Span, replica: Progress) -> Figures {
+        let hand = self.threads.haptics.as_mut().map(HapticHandle::stats);
         let stats = *self.network.session.stats.borrow();
         let link = stats.link;
         let now = monotonic_now();
@@ -142,17 +135,12 @@ impl Supervision<'_> {
         let received = stats.path.received_bytes.saturating_sub(bytes);
         let seconds = (now - since).as_secs_f64().max(1e-3);
         Figures {
-            down_kbit_s: received as f64 * 8e-3 / seconds,
-            thin_waiting: progress.thin.map(|t| t.waiting),
             seconds: stayed.as_secs_f64(),
             hand,
             rtt_ms: link.rtt.map(Span::as_millis_f64),
             loss: link.loss_in(),
-            delay_ms: progress.delay.as_millis_f64(),
-            here: progress.here,
-            topology_version: progress.topology_version,
-            link_lost: progress.link_lost,
-            part: progress.part,
+            down_kbit_s: received as f64 * 8e-3 / seconds,
+            replica,
         }
     }
 
@@ -221,9 +209,7 @@ fn write_recording(
     outcome: Result<Summary, ClientError>,
 ) -> Result<Summary, ClientError> {
     if let Some(haptics) = haptics {
-        let point =
-            |p: &TracePoint| HapticPoint::new(p.time.as_micros(), &p.pose, p.buttons, p.force);
-        recording.haptic = haptics.trace.points().iter().map(point).collect();
+        recording.haptic = haptics.trace.points().to_vec();
         recording.dropped.haptic = haptics.trace.lost();
     }
     let written = Staged::write(path, |out| Ok(serde_json::to_writer(out, &recording)?))

@@ -16,7 +16,8 @@ use super::hand_loop::{Frame, HandLoop, Turned, Wishes};
 use super::handle::{HapticHandle, LoopSummary};
 use super::pace::Pace;
 use super::stats::{LoopStats, Meter};
-use super::trace::{Trace, TracePoint};
+use super::trace::Trace;
+use crate::recording::HapticPoint;
 
 /// Publishing period of the statistics.
 const STATS_EVERY: Span = Span::from_millis(250);
@@ -91,7 +92,7 @@ pub fn spawn(
         meter: Meter::new(now),
         trace: Trace::new(config.trace_every, config.trace_points_max),
     };
-    let (tell, told) = mpsc::sync_channel(1);
+    let (sender, receiver) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new()
         .name("haptics".to_owned())
         .spawn(move || {
@@ -101,10 +102,10 @@ pub fn spawn(
                 ThreadClass::Background
             };
             let membership = threads::enter(class);
-            let _ = tell.send(membership.scheduling().clone());
+            let _ = sender.send(membership.scheduling().clone());
             haptic_loop.run(config.period, membership.scheduling().clone())
         })?;
-    let scheduling = told.recv().unwrap_or(Scheduling::Ordinary {
+    let scheduling = receiver.recv().unwrap_or(Scheduling::Ordinary {
         refused: Some("the haptic thread ended before its first tick".to_owned()),
     });
     let handle = HapticHandle::new(control, stats_out, thread, scheduling);
@@ -185,12 +186,10 @@ impl HapticLoop {
         if turned.is_good && self.frames.push(frame).is_err() {
             self.meter.stats.frames_dropped += 1;
         }
-        self.trace.record(TracePoint {
-            time: frame.time,
-            pose: frame.sample.pose,
-            buttons: frame.sample.buttons,
-            force: frame.wrench.force,
-        });
+        let sample = &frame.sample;
+        let (t_us, force) = (frame.time.as_micros(), frame.wrench.force);
+        let point = HapticPoint::new(t_us, &sample.pose, sample.buttons, force);
+        self.trace.record(point);
         self.meter.stats.force_n = frame.wrench.force.norm();
         self.meter.stats.counters = *self.hand.chain().counters();
         self.meter.stats.device = self.hand.counts();

@@ -33,4 +33,4 @@ pub use handle::{HapticHandle, LoopSummary};
 pub use haptic_thread::{HapticPorts, RealtimeConfig, spawn};
 pub use pace::Pace;
 pub use stats::{Lateness, LoopStats};
-pub use trace::{Trace, TracePoint};
+pub use trace::Trace;

@@ -200,9 +200,10 @@ impl ReplicaLoop {
                 _ => {}
             }
             self.inputs.site.handle_event(event, monotonic_now())?;
-            if self.inputs.site.resyncs() != self.resyncs {
+            let resyncs = self.inputs.site.counters().resyncs;
+            if resyncs != self.resyncs {
                 // The helpers work on the old replica; their results are discarded.
-                self.resyncs = self.inputs.site.resyncs();
+                self.resyncs = resyncs;
                 self.helpers = None;
             }
         }

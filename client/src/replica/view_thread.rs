@@ -52,11 +52,11 @@ pub(crate) struct ViewThread {
 
 impl ViewThread {
     pub(crate) fn spawn(view: View) -> std::io::Result<Self> {
-        let (orders, told) = channel();
-        let (tell, reports) = channel();
+        let (orders, received) = channel();
+        let (sender, reports) = channel();
         let thread = threads::spawn(ThreadClass::Background, "view", move || {
             let _pool = compute_alone();
-            serve(view, &told, &tell);
+            serve(view, &received, &sender);
         })?;
         Ok(Self {
             orders: Some(orders),
@@ -74,12 +74,12 @@ impl ViewThread {
     /// Sends an order. Returns whether the thread still runs.
     pub(crate) fn order(&mut self, order: Order) -> bool {
         let shows = matches!(order, Order::Show(..));
-        let told = self
+        let is_sent = self
             .orders
             .as_ref()
             .is_some_and(|orders| orders.send(order).is_ok());
-        self.open += usize::from(shows && told);
-        told
+        self.open += usize::from(shows && is_sent);
+        is_sent
     }
 
     /// The next report, if any; an error if the thread has stopped.
@@ -111,8 +111,8 @@ impl Drop for ViewThread {
     }
 }
 
-fn serve(mut view: View, told: &Receiver<Order>, tell: &Sender<ViewReport>) {
-    for order in told {
+fn serve(mut view: View, orders: &Receiver<Order>, reports: &Sender<ViewReport>) {
+    for order in orders {
         let report = match order {
             Order::Cut(cut) => {
                 view.take(*cut);
@@ -124,7 +124,7 @@ fn serve(mut view: View, told: &Receiver<Order>, tell: &Sender<ViewReport>) {
             },
             Order::Show(frame, is_recorded) => show(&mut view, &frame, is_recorded),
         };
-        if tell.send(report).is_err() {
+        if reports.send(report).is_err() {
             return;
         }
     }

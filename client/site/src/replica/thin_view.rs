@@ -1,9 +1,9 @@
 //! View of a thin subscriber: nothing is computed here; the server sends surface displacements.
 //!
 //! ```text
-//! waiting  received displacements, until their time is displayed (jitter buffer): early and late ones
+//! waiting  displacements, until their time is displayed (jitter buffer): early and late ones
 //!          keep their order, and each is displayed at its own time
-//! told     per node: newest displacement, its time and its topology version
+//! received per node: newest displacement, its time and its topology version
 //! shown    displacements of nodes of the own topology; a node doubled by a cut
 //!          uses its origin's displacement until its own arrives
 //! lag      delay of the displacements behind the common time s: the downlink delay
@@ -36,7 +36,7 @@ const CORNERS: usize = 8;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ThinCounters {
     /// Received node displacements.
-    pub told: u64,
+    pub received: u64,
     /// Displacements that arrived after a newer one of the same node.
     pub late: u64,
     /// Node numbers that no topology of this model can have.
@@ -48,13 +48,13 @@ pub struct ThinCounters {
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Told {
+struct Received {
     at: ServerTime,
     topology_version: u32,
     displacement: Vec3,
 }
 
-/// The view of a thin subscriber. Calling order: [`tell`](Self::tell) for displacements on arrival,
+/// The view of a thin subscriber. Calling order: [`receive`](Self::receive) for displacements on arrival,
 /// [`follow`](Self::follow) for every cut in log order, [`advance`](Self::advance) to each displayed time.
 #[derive(Debug)]
 pub struct ThinView {
@@ -63,7 +63,7 @@ pub struct ThinView {
     /// Received displacements that are not displayed yet, by time, oldest first.
     waiting: VecDeque<Displacements>,
     /// Newest displacement by node number.
-    told: Vec<Option<Told>>,
+    received: Vec<Option<Received>>,
     /// Maximum number of nodes of the model, however it is cut.
     nodes_max: usize,
     newest: Option<ServerTime>,
@@ -78,7 +78,7 @@ impl ThinView {
             topology_version: topology.version(),
             shape: Shape::rest(topology),
             waiting: VecDeque::new(),
-            told: Vec::new(),
+            received: Vec::new(),
             nodes_max: CORNERS * topology.cell_count(),
             newest: None,
             lag: Span::ZERO,
@@ -87,7 +87,7 @@ impl ThinView {
     }
 
     /// Receives displacements; `s` is the common time of arrival, if known.
-    pub fn tell(&mut self, news: Displacements, s: Option<ServerTime>) {
+    pub fn receive(&mut self, news: Displacements, s: Option<ServerTime>) {
         if self.newest.is_none_or(|newest| news.view_time >= newest) {
             self.newest = Some(news.view_time);
             self.counters.waiting = news.waiting;
@@ -117,39 +117,39 @@ impl ThinView {
             return;
         };
         for (node, displacement) in &news.nodes {
-            let told = Told {
+            let received = Received {
                 at: news.view_time,
                 topology_version: news.topology_version,
                 displacement: Vec3::from(displacement.map(f64::from)),
             };
-            self.tell_node(*node as usize, told);
+            self.receive_node(*node as usize, received);
         }
     }
 
-    fn tell_node(&mut self, node: usize, told: Told) {
+    fn receive_node(&mut self, node: usize, received: Received) {
         if node >= self.nodes_max {
             self.counters.unknown += 1;
             return;
         }
-        self.counters.told += 1;
-        if self.told.len() <= node {
-            self.told.resize(node + 1, None);
+        self.counters.received += 1;
+        if self.received.len() <= node {
+            self.received.resize(node + 1, None);
         }
-        if self.told[node].is_some_and(|before| before.at > told.at) {
+        if self.received[node].is_some_and(|before| before.at > received.at) {
             self.counters.late += 1;
             return;
         }
-        self.told[node] = Some(told);
+        self.received[node] = Some(received);
         self.show(node);
     }
 
     /// Displays the newest displacement of a node, if its topology is not newer than this one. Cuts keep node
     /// numbers, so older displacements stay valid.
     fn show(&mut self, node: usize) {
-        let told = self.told.get(node).copied().flatten();
-        let told = told.filter(|t| t.topology_version <= self.topology_version);
-        if let Some((told, shown)) = told.zip(self.shape.displacement.get_mut(node)) {
-            *shown = told.displacement;
+        let received = self.received.get(node).copied().flatten();
+        let received = received.filter(|t| t.topology_version <= self.topology_version);
+        if let Some((received, shown)) = received.zip(self.shape.displacement.get_mut(node)) {
+            *shown = received.displacement;
         }
     }
 

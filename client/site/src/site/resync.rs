@@ -40,11 +40,6 @@ impl Site {
         self.resync_state != ResyncState::Idle
     }
 
-    /// Number of resyncs. Objects taken from the site before belong to an old replica.
-    pub fn resyncs(&self) -> u64 {
-        self.counters.resyncs
-    }
-
     /// Handles a failure of the cut worker: the replica differs from the session.
     pub fn handle_broken(&mut self, error: ReplicaError, now: ClientTime) -> Result<(), SiteError> {
         self.or_resync(Err(error.into()), now)

@@ -26,7 +26,7 @@ impl Site {
     pub(super) fn handle_displacements(&mut self, news: Displacements, now: ClientTime) {
         let s = self.moment(now).map(|(s, _)| s);
         if let Some(thin) = self.replica.thin_view_mut() {
-            thin.tell(news, s);
+            thin.receive(news, s);
         }
     }
 
