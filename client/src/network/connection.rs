@@ -109,13 +109,14 @@ impl<'a> Connection<'a> {
                     Some(events) => events.recv().await,
                     None => pending().await,
                 }
-            } => match event {
-                Some(event) => self.reconnector.handle_event(event, monotonic_now()),
-                None => {
+            } => {
+                if let Some(event) = event {
+                    self.reconnector.handle_event(event, monotonic_now());
+                } else {
                     let why = "the session ended without a reason".to_owned();
                     self.reconnector.handle_lost(why, monotonic_now());
                 }
-            },
+            }
             joined = async {
                 match &mut present.attempt {
                     Some(attempt) => attempt.await,
