@@ -4,7 +4,9 @@
 
 use nalgebra::Vector3;
 use palpate_device::{Buttons, Pose};
-use palpate_protocol::operation::CutStroke;
+use palpate_protocol::ClientTime;
+use palpate_site::{OperationRecord, ToolAt, ViewFrame};
+use palpate_tissue::Shape;
 use serde::{Deserialize, Serialize};
 
 /// Maximum points of the hand: 20 minutes of every fourth tick. Later ones are dropped and counted.
@@ -96,6 +98,26 @@ pub struct ViewRecord {
     pub topology_version: u32,
 }
 
+impl ViewRecord {
+    /// The record of a view that was shown at a time.
+    pub fn new(frame: &ViewFrame, shape: &Shape, topology_version: u32, shown: ClientTime) -> Self {
+        let moved = shape.displacement.iter().enumerate();
+        let tool = |t: &ToolAt| ToolRecord {
+            participant: t.participant.0,
+            position_m: t.position.into(),
+            stale: t.stale,
+        };
+        Self {
+            s_us: frame.s.as_micros(),
+            shown_us: shown.as_micros(),
+            delay_us: frame.delay.as_micros(),
+            tools: frame.tools.iter().map(tool).collect(),
+            nodes: choose_nodes(moved.map(|(n, u)| (n as u32, (*u).into()))),
+            topology_version,
+        }
+    }
+}
+
 /// A tool in a view.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ToolRecord {
@@ -105,26 +127,6 @@ pub struct ToolRecord {
     pub position_m: [f64; 3],
     /// Whether its newest sample is too old.
     pub stale: bool,
-}
-
-/// An applied operation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct OperationRecord {
-    /// Index in the log.
-    pub id: u64,
-    /// Kind of operation, one word.
-    pub kind: String,
-    /// Due time, server clock.
-    pub at_us: i64,
-    /// Time of application here, monotonic.
-    pub applied_us: i64,
-    /// Topology version after it.
-    pub version: u32,
-    /// Topology hash after it, 16 hexadecimal digits.
-    pub hash: String,
-    /// The stroke of a cut, in the rest frame.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub stroke: Option<CutStroke>,
 }
 
 /// Counts of dropped items.
@@ -174,7 +176,7 @@ impl Recording {
 }
 
 /// The nodes of a view to record: those that moved, limited to the same ones at every site.
-pub fn choose_nodes(moved: impl Iterator<Item = (u32, [f64; 3])>) -> Vec<(u32, f32, f32, f32)> {
+fn choose_nodes(moved: impl Iterator<Item = (u32, [f64; 3])>) -> Vec<(u32, f32, f32, f32)> {
     let mut chosen: Vec<(u32, [f64; 3])> = moved
         .map(|(n, u)| (n, u.map(|c| c * 1e3)))
         .filter(|(_, mm)| mm.iter().map(|c| c * c).sum::<f64>() > NODE_MOVED_MM * NODE_MOVED_MM)

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use palpate_client::{ClientError, DeviceKind, JoinOptions, Recording, Sources, Summary, convert};
+use palpate_client::{ClientError, DeviceKind, JoinOptions, Recording, Sources, Summary};
 use palpate_protocol::handshake::{Hello, RefusalReason, Refused, RosterEntry, Welcome};
 use palpate_protocol::operation::{
     BladePoint, CompensationMode, CompensationSettings, CutStroke, Operation, OperationKind,
@@ -311,7 +311,7 @@ fn welcome(info: ModelInfo, now: ServerTime, hello: &Hello) -> PeerMessage {
 fn play(peer: &PeerHandle, manner: Manner, now: ServerTime) {
     let mut topology = Topology::new(Arc::new(model()));
     let before = wire(topology.hash());
-    cut(&mut topology, &convert::tissue_stroke(&stroke())).unwrap();
+    cut(&mut topology, &palpate_site::tissue_stroke(&stroke())).unwrap();
     let after = if manner == Manner::Lies {
         TopologyHash(1)
     } else {

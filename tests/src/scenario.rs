@@ -12,15 +12,13 @@
 use std::sync::Arc;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use palpate_client::Replica;
 use palpate_client::realtime::worked;
-use palpate_client::replica::{HAPTIC_PERIOD, hand_budget};
-use palpate_client::roster::ToolAt;
 use palpate_device::script::{Hand, Script, ScriptPose, Tool as ScriptTool, WayPoint};
 use palpate_device::{DeviceCaps, DeviceTime, Sample, Workspace, Wrench};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Events};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{ClientTime, ParticipantId, Span};
+use palpate_site::{HAPTIC_PERIOD, Replica, ToolAt, hand_budget};
 use palpate_tissue::{Budget, Model, Reaction, Shape, Solver, Tool, Topology};
 use serde::Serialize;
 

@@ -11,13 +11,14 @@ use std::path::{Path, PathBuf};
 use cargo_metadata::{Metadata, MetadataCommand};
 
 /// A package may depend only on packages of a lower level.
-const LEVELS: [(&str, u8); 10] = [
+const LEVELS: [(&str, u8); 11] = [
     ("palpate-device", 0),
     ("palpate-protocol", 0),
     ("palpate-tissue", 0),
     ("palpate-anatomy", 1),
     ("palpate-room", 1),
     ("palpate-haptics", 1),
+    ("palpate-site", 2),
     ("palpate-transport", 2),
     ("palpate-server", 3),
     ("palpate-client", 3),

@@ -1,6 +1,5 @@
 //! `palpate-client devices`: list, test, calibrate, plot.
 
-use std::io::{ErrorKind, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -13,6 +12,7 @@ use palpate_protocol::Span;
 use serde_json::json;
 
 use super::{DeviceChoice, DeviceKind, Guide, Sources, open, owned, plot};
+use crate::program::{complain, print};
 use crate::realtime::{device_time, monotonic_now, sleep_until};
 
 /// Tick period while hardware is tested.
@@ -91,13 +91,12 @@ pub(crate) fn run(arguments: DevicesArguments) -> ExitCode {
         Command::Plot {
             device: Plotted::FiveDof,
             output,
-        } => plot::five_dof(&output).and_then(|file| say(&format!("{}\n", file.display()))),
+        } => plot::five_dof(&output).and_then(|file| print(&format!("{}\n", file.display()))),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(why) => {
-            // A closed standard error is ignored.
-            let _ = writeln!(std::io::stderr(), "palpate-client: {why}");
+            complain(&why);
             ExitCode::FAILURE
         }
     }
@@ -105,15 +104,6 @@ pub(crate) fn run(arguments: DevicesArguments) -> ExitCode {
 
 /// Success, or an error message.
 type Done = Result<(), String>;
-
-/// Writes to standard output; a closed pipe is no error.
-fn say(text: &str) -> Done {
-    let mut out = std::io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(format!("cannot print the result: {e}")),
-        _ => Ok(()),
-    }
-}
 
 /// A device at rest.
 fn at_rest(choice: &DeviceChoice) -> Result<Box<dyn HapticDevice>, String> {
@@ -164,9 +154,9 @@ fn list(json: bool) -> Done {
         });
     }
     if json {
-        say(&format!("{}\n", json!({ "devices": rows })))
+        print(&format!("{}\n", json!({ "devices": rows })))
     } else {
-        say(&rows.iter().filter_map(|r| r.as_str()).collect::<String>())
+        print(&rows.iter().filter_map(|r| r.as_str()).collect::<String>())
     }
 }
 
@@ -281,9 +271,9 @@ fn test(choice: &DeviceChoice, json: bool) -> Done {
     };
     let report = conformance::run(device.as_mut(), &mut clock, options);
     if json {
-        say(&format!("{}\n", as_json(kind, &report)))?;
+        print(&format!("{}\n", as_json(kind, &report)))?;
     } else {
-        say(&report.to_string())?;
+        print(&report.to_string())?;
     }
     if report.passed() {
         Ok(())
@@ -313,7 +303,7 @@ fn calibrate(choice: &DeviceChoice) -> Done {
     device.close();
     match state {
         Calibration::NotNeeded | Calibration::Done => {
-            say(&format!("{}: {}\n", kind.word(), calibration_word(state)))
+            print(&format!("{}: {}\n", kind.word(), calibration_word(state)))
         }
         Calibration::NeedsUser | Calibration::InProgress => Err(format!(
             "{} is {}; follow its maker's procedure, then try again",

@@ -7,6 +7,7 @@ mod hold;
 mod input;
 mod owned;
 mod plot;
+mod script_tool;
 
 use clap::ValueEnum;
 use palpate_device::HapticDevice;
@@ -21,6 +22,7 @@ pub(crate) use command::{DevicesArguments, run};
 pub(crate) use guide::{Guide, Moves};
 pub(crate) use hold::Hold;
 pub use owned::{OwnedError, Sources};
+pub use script_tool::tool_description;
 
 /// Kinds of supported devices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]

@@ -12,7 +12,7 @@ use palpate_device::{
     DeviceTime, Faults, ForceState, HapticDevice, Pose, Rejection, Sample, Wrench, Written,
 };
 use palpate_haptics::{Chain, ContactModel, Events, Tick};
-use palpate_protocol::{ClientTime, Span};
+use palpate_protocol::{ClientTime, LocalSample, Span};
 
 use super::clock::device_time;
 
@@ -54,6 +54,20 @@ impl Frame {
             events: Events::NONE,
             contact_age: Span::ZERO,
         }
+    }
+}
+
+/// A tick of the force loop as a protocol sample, which holds eight buttons.
+pub fn local_sample(frame: &Frame) -> LocalSample {
+    let q = frame.sample.pose.orientation;
+    LocalSample {
+        time: frame.time,
+        pose: palpate_protocol::Pose {
+            position_m: frame.sample.pose.position.into(),
+            orientation: [q.i, q.j, q.k, q.w],
+        },
+        buttons: (frame.sample.buttons.bits() & 0xff) as u8,
+        force_n: Some(frame.wrench.force.into()),
     }
 }
 

@@ -4,7 +4,6 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 
-use hdrhistogram::Histogram;
 use triple_buffer::Output;
 
 use super::haptic_thread::Control;
@@ -18,10 +17,6 @@ pub struct LoopSummary {
     pub stats: LoopStats,
     /// How the thread was scheduled.
     pub scheduling: Scheduling,
-    /// Lateness of ticks, µs.
-    pub lateness_us: Histogram<u32>,
-    /// Computing time of ticks, µs.
-    pub work_us: Histogram<u32>,
     /// Recorded poses and forces.
     pub trace: Trace,
     /// Message of a panic on the thread, after which the force was set to zero and the device closed. `None` if the
@@ -71,11 +66,6 @@ impl HapticHandle {
     /// soft start).
     pub fn set_link_lost(&self, lost: bool) {
         self.control.link_lost.store(lost, Ordering::Release);
-    }
-
-    /// Whether ticks are recorded in the trace.
-    pub fn set_recording(&self, on: bool) {
-        self.control.recording.store(on, Ordering::Release);
     }
 
     /// Fades the force, closes the device and ends the thread; takes about 0.1 s.

@@ -16,10 +16,15 @@ use super::hand_loop::{Frame, HandLoop, Turned, Wishes};
 use super::handle::{HapticHandle, LoopSummary};
 use super::pace::Pace;
 use super::stats::{LoopStats, Meter};
-use super::trace::{Trace, TracePoint};
+use super::trace::Trace;
+use crate::recording::HapticPoint;
 
 /// Publishing period of the statistics.
 const STATS_EVERY: Span = Span::from_millis(250);
+
+/// Frames in the ring to the network: a quarter of a second. If the network task stalls longer, the newest are dropped
+/// and counted.
+const RING_FRAMES: usize = 256;
 
 /// Configuration of the thread.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,15 +33,10 @@ pub struct RealtimeConfig {
     pub period: Span,
     /// Whether the thread requests the real-time priority of its class.
     pub real_time: bool,
-    /// Frames in the ring to the network. 256 hold a quarter of a second; if the network task stalls longer, the
-    /// newest are dropped and counted.
-    pub ring_frames: usize,
     /// Every n-th tick is recorded in the trace; 0 records none.
     pub trace_every: u32,
     /// Capacity of the trace: 30,000 points are 120 s of every fourth tick, or 1.9 MB.
     pub trace_points_max: usize,
-    /// Whether the trace starts at once, or waits for [`HapticHandle::set_recording`].
-    pub recording: bool,
 }
 
 impl Default for RealtimeConfig {
@@ -44,10 +44,8 @@ impl Default for RealtimeConfig {
         Self {
             period: Span::from_millis(1),
             real_time: true,
-            ring_frames: 256,
             trace_every: 4,
             trace_points_max: 30_000,
-            recording: true,
         }
     }
 }
@@ -58,25 +56,14 @@ pub struct HapticPorts {
     pub models: Input<ContactModel>,
     /// The newest frame, for the solver.
     pub newest: Output<Frame>,
-    /// The newest frame, for the view.
-    pub newest_for_view: Output<Frame>,
     /// Every frame with a good reading, for the network.
     pub frames: rtrb::Consumer<Frame>,
-}
-
-/// Reason why the thread did not start.
-#[derive(Debug, thiserror::Error)]
-pub enum SpawnError {
-    /// Error of the operating system.
-    #[error("cannot start the haptic thread: {0}")]
-    System(#[from] std::io::Error),
 }
 
 /// Shared flags from the handle to the thread.
 pub(super) struct Control {
     pub(super) stop: AtomicBool,
     pub(super) link_lost: AtomicBool,
-    pub(super) recording: AtomicBool,
 }
 
 /// Starts the haptic thread, which enables the device's forces and closes the device at its end.
@@ -84,31 +71,28 @@ pub fn spawn(
     device: Box<dyn HapticDevice>,
     chain: Chain,
     config: RealtimeConfig,
-) -> Result<(HapticHandle, HapticPorts), SpawnError> {
+) -> std::io::Result<(HapticHandle, HapticPorts)> {
     let now = clock::monotonic_now();
     let frame = Frame::before(now);
     let control = Arc::new(Control {
         stop: AtomicBool::new(false),
         link_lost: AtomicBool::new(false),
-        recording: AtomicBool::new(config.recording),
     });
     let (models_in, models_out) = triple_buffer(&ContactModel::FREE);
     let (newest_in, newest_out) = triple_buffer(&frame);
-    let (view_in, view_out) = triple_buffer(&frame);
     let (stats_in, stats_out) = triple_buffer(&LoopStats::default());
-    let (ring_in, ring_out) = rtrb::RingBuffer::new(config.ring_frames.max(1));
+    let (ring_in, ring_out) = rtrb::RingBuffer::new(RING_FRAMES);
     let haptic_loop = HapticLoop {
         hand: HandLoop::new(device, chain, config.period, now),
         control: Arc::clone(&control),
         models: models_out,
         newest: newest_in,
-        view: view_in,
         frames: ring_in,
         stats: stats_in,
         meter: Meter::new(now),
         trace: Trace::new(config.trace_every, config.trace_points_max),
     };
-    let (tell, told) = mpsc::sync_channel(1);
+    let (sender, receiver) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new()
         .name("haptics".to_owned())
         .spawn(move || {
@@ -118,17 +102,16 @@ pub fn spawn(
                 ThreadClass::Background
             };
             let membership = threads::enter(class);
-            let _ = tell.send(membership.scheduling().clone());
+            let _ = sender.send(membership.scheduling().clone());
             haptic_loop.run(config.period, membership.scheduling().clone())
         })?;
-    let scheduling = told.recv().unwrap_or(Scheduling::Ordinary {
+    let scheduling = receiver.recv().unwrap_or(Scheduling::Ordinary {
         refused: Some("the haptic thread ended before its first tick".to_owned()),
     });
     let handle = HapticHandle::new(control, stats_out, thread, scheduling);
     let ports = HapticPorts {
         models: models_in,
         newest: newest_out,
-        newest_for_view: view_out,
         frames: ring_out,
     };
     Ok((handle, ports))
@@ -139,7 +122,6 @@ struct HapticLoop {
     control: Arc<Control>,
     models: Output<ContactModel>,
     newest: Input<Frame>,
-    view: Input<Frame>,
     frames: rtrb::Producer<Frame>,
     stats: Input<LoopStats>,
     meter: Meter,
@@ -152,24 +134,21 @@ impl HapticLoop {
         self.meter = Meter::new(began);
         let mut pace = Pace::new(began, period);
         // Force must not persist after a panic of the loop or of a driver.
-        let outcome = catch_unwind(AssertUnwindSafe(|| self.live(&mut pace)));
+        let outcome = catch_unwind(AssertUnwindSafe(|| self.serve(&mut pace)));
         let closed = catch_unwind(AssertUnwindSafe(|| self.hand.close()));
         let panicked = outcome.and(closed).err().map(|p| message_of(p.as_ref()));
         let stats = self.meter.snapshot(clock::monotonic_now(), pace.missed());
         self.stats.write(stats);
-        let (lateness_us, work_us) = self.meter.into_histograms();
         LoopSummary {
             stats,
             scheduling,
-            lateness_us,
-            work_us,
             trace: self.trace,
             panicked,
         }
     }
 
     /// Runs from enabling the forces until they have faded to zero.
-    fn live(&mut self, pace: &mut Pace) {
+    fn serve(&mut self, pace: &mut Pace) {
         self.hand.begin();
         let mut publish_at = pace.deadline() + STATS_EVERY;
         loop {
@@ -177,9 +156,9 @@ impl HapticLoop {
             clock::sleep_until(deadline);
             let woke = clock::monotonic_now();
             let turned = self.hand.turn(woke, self.wishes(), self.models.read());
-            self.hand_over(&turned);
+            self.publish(&turned);
             let done = clock::monotonic_now();
-            self.meter.record(deadline, woke, done);
+            self.meter.record(deadline, woke);
             pace.done(done);
             // A clock that is set back must not delay the status line.
             if done >= publish_at || publish_at - done > STATS_EVERY {
@@ -201,22 +180,16 @@ impl HapticLoop {
         }
     }
 
-    fn hand_over(&mut self, turned: &Turned) {
+    fn publish(&mut self, turned: &Turned) {
         let frame = turned.frame;
         self.newest.write(frame);
-        self.view.write(frame);
         if turned.is_good && self.frames.push(frame).is_err() {
             self.meter.stats.frames_dropped += 1;
         }
-        if self.control.recording.load(Ordering::Relaxed) {
-            self.trace.record(TracePoint {
-                time: frame.time,
-                pose: frame.sample.pose,
-                buttons: frame.sample.buttons,
-                force: frame.wrench.force,
-                events: frame.events,
-            });
-        }
+        let sample = &frame.sample;
+        let (t_us, force) = (frame.time.as_micros(), frame.wrench.force);
+        let point = HapticPoint::new(t_us, &sample.pose, sample.buttons, force);
+        self.trace.record(point);
         self.meter.stats.force_n = frame.wrench.force.norm();
         self.meter.stats.counters = *self.hand.chain().counters();
         self.meter.stats.device = self.hand.counts();

@@ -9,9 +9,9 @@ use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 use palpate_protocol::ServerTime;
 use palpate_protocol::request::CutRequest;
 
+use super::local_sample;
 use super::{RealtimeConfig, device_time, monotonic_now, spawn};
-use crate::convert::local_sample;
-use crate::stroke::StrokeCollector;
+use palpate_site::StrokeCollector;
 
 /// A current contact of 3 N.
 fn contact() -> ContactModel {

@@ -4,7 +4,7 @@
 //! of fixed size:
 //!
 //! ```text
-//! solver  --newest ContactModel-->  thread  --newest Frame-->  solver, view
+//! solver  --newest ContactModel-->  thread  --newest Frame-->  solver
 //!                                   thread  --every Frame-->   network (ring)
 //!                                   thread  --LoopStats, 4 Hz-->  status line
 //! ```
@@ -28,9 +28,9 @@ mod trace;
 
 pub(crate) use alone::compute_alone;
 pub use clock::{device_time, monotonic_now, sleep_until, worked};
-pub use hand_loop::{DeviceCounts, ENABLE_EVERY, Frame, HandLoop, Turned, Wishes};
+pub use hand_loop::{DeviceCounts, ENABLE_EVERY, Frame, HandLoop, Turned, Wishes, local_sample};
 pub use handle::{HapticHandle, LoopSummary};
-pub use haptic_thread::{HapticPorts, RealtimeConfig, SpawnError, spawn};
+pub use haptic_thread::{HapticPorts, RealtimeConfig, spawn};
 pub use pace::Pace;
-pub use stats::{LoopStats, Percentiles};
-pub use trace::{Trace, TracePoint};
+pub use stats::{Lateness, LoopStats};
+pub use trace::Trace;

@@ -2,16 +2,17 @@
 
 use hdrhistogram::Histogram;
 use palpate_haptics::Counters;
-use palpate_protocol::{ClientTime, Span};
+use palpate_protocol::ClientTime;
+use serde::{Deserialize, Serialize};
 
 use super::hand_loop::DeviceCounts;
 
 /// Upper bound of the histograms, µs; longer times count as this.
 const MAX_US: u64 = 10_000_000;
 
-/// Percentiles of a time, µs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Percentiles {
+/// Percentiles of lateness, µs.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Lateness {
     /// Median.
     pub p50: u64,
     /// 99th percentile.
@@ -22,7 +23,7 @@ pub struct Percentiles {
     pub max: u64,
 }
 
-impl Percentiles {
+impl Lateness {
     fn of(h: &Histogram<u32>) -> Self {
         let q = |quantile| h.value_at_quantile(quantile);
         Self {
@@ -39,14 +40,10 @@ impl Percentiles {
 pub struct LoopStats {
     /// Ticks done.
     pub ticks: u64,
-    /// Seconds since the loop began.
-    pub seconds: f64,
     /// Ticks per second since the loop began, Hz.
     pub rate_hz: f64,
     /// Delay of ticks after their deadlines, µs.
-    pub lateness_us: Percentiles,
-    /// Duration of ticks: reading, computing, writing, transfer, µs.
-    pub work_us: Percentiles,
+    pub lateness_us: Lateness,
     /// Deadlines that were skipped.
     pub missed: u64,
     /// The force of the last tick, N.
@@ -63,54 +60,38 @@ pub struct LoopStats {
 pub(super) struct Meter {
     began: ClientTime,
     lateness: Histogram<u32>,
-    work: Histogram<u32>,
     pub(super) stats: LoopStats,
 }
 
 impl Meter {
     pub(super) fn new(began: ClientTime) -> Self {
-        let histogram = || {
-            Histogram::new_with_bounds(1, MAX_US, 3)
-                .expect("1 to 10^7 in 3 digits is a valid range")
-        };
         Self {
             began,
-            lateness: histogram(),
-            work: histogram(),
+            lateness: Histogram::new_with_bounds(1, MAX_US, 3)
+                .expect("1 to 10^7 in 3 digits is a valid range"),
             stats: LoopStats::default(),
         }
     }
 
-    /// Records a tick with its deadline, its begin `woke` and its end `done`.
-    pub(super) fn record(&mut self, deadline: ClientTime, woke: ClientTime, done: ClientTime) {
-        self.lateness.saturating_record(micros(woke - deadline));
-        self.work.saturating_record(micros(done - woke));
+    /// Records a tick that began at `woke`.
+    pub(super) fn record(&mut self, deadline: ClientTime, woke: ClientTime) {
+        let late = (woke - deadline).as_micros().max(0);
+        self.lateness.saturating_record(late as u64);
         self.stats.ticks += 1;
     }
 
     /// The statistics as of `now`. It takes a few microseconds: call it a few times a second.
     pub(super) fn snapshot(&mut self, now: ClientTime, missed: u64) -> LoopStats {
         let seconds = (now - self.began).as_secs_f64();
-        self.stats.seconds = seconds;
         self.stats.rate_hz = if seconds > 0.0 {
             self.stats.ticks as f64 / seconds
         } else {
             0.0
         };
-        self.stats.lateness_us = Percentiles::of(&self.lateness);
-        self.stats.work_us = Percentiles::of(&self.work);
+        self.stats.lateness_us = Lateness::of(&self.lateness);
         self.stats.missed = missed;
         self.stats
     }
-
-    /// The histograms of lateness and computing time, µs.
-    pub(super) fn into_histograms(self) -> (Histogram<u32>, Histogram<u32>) {
-        (self.lateness, self.work)
-    }
-}
-
-fn micros(span: Span) -> u64 {
-    span.as_micros().max(0) as u64
 }
 
 #[cfg(test)]
@@ -126,12 +107,11 @@ mod tests {
         for i in 0..1000 {
             let due = i * 1000;
             let late = if i == 999 { 50_000_000 } else { i % 10 };
-            meter.record(at(due), at(due + late), at(due + late + 20));
+            meter.record(at(due), at(due + late));
         }
         let s = meter.snapshot(at(1_000_000), 7);
         assert_eq!((s.ticks, s.missed, s.rate_hz), (1000, 7, 1000.0));
         assert_eq!((s.lateness_us.p50, s.lateness_us.p99), (4, 9));
-        assert_eq!((s.work_us.p50, s.work_us.max), (20, 20));
         assert!(s.lateness_us.max >= 10_000_000 && s.lateness_us.max < 10_100_000);
     }
 }

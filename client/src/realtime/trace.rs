@@ -1,29 +1,11 @@
 //! Recorded poses and forces of a run, for plots and comparisons.
 
-use nalgebra::Vector3;
-use palpate_device::{Buttons, Pose};
-use palpate_haptics::Events;
-use palpate_protocol::ClientTime;
-
-/// One recorded tick.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TracePoint {
-    /// Time of the tick.
-    pub time: ClientTime,
-    /// Pose of the tool.
-    pub pose: Pose,
-    /// The buttons that were held.
-    pub buttons: Buttons,
-    /// Force on the tool, N.
-    pub force: Vector3<f64>,
-    /// Events of the tick.
-    pub events: Events,
-}
+use crate::recording::HapticPoint;
 
 /// Every n-th tick of a run, in preallocated memory.
 #[derive(Debug, Clone, Default)]
 pub struct Trace {
-    points: Vec<TracePoint>,
+    points: Vec<HapticPoint>,
     capacity: usize,
     every: u32,
     skipped: u32,
@@ -44,7 +26,7 @@ impl Trace {
     }
 
     /// Records every n-th `point` while there is room. Never allocates.
-    pub(super) fn record(&mut self, point: TracePoint) {
+    pub(super) fn record(&mut self, point: HapticPoint) {
         if self.every == 0 {
             return;
         }
@@ -61,7 +43,7 @@ impl Trace {
     }
 
     /// The points in chronological order.
-    pub fn points(&self) -> &[TracePoint] {
+    pub fn points(&self) -> &[HapticPoint] {
         &self.points
     }
 
@@ -75,25 +57,18 @@ impl Trace {
 mod tests {
     use nalgebra::Vector3;
     use palpate_device::{Buttons, Pose};
-    use palpate_haptics::Events;
-    use palpate_protocol::ClientTime;
 
-    use super::{Trace, TracePoint};
+    use super::{HapticPoint, Trace};
 
     #[test]
     fn every_fourth_tick_is_recorded_until_full() {
         let mut trace = Trace::new(4, 10);
         for i in 0..100 {
-            trace.record(TracePoint {
-                time: ClientTime::from_micros(i),
-                pose: Pose::default(),
-                buttons: Buttons::NONE,
-                force: Vector3::zeros(),
-                events: Events::NONE,
-            });
+            let (pose, force) = (Pose::default(), Vector3::zeros());
+            trace.record(HapticPoint::new(i, &pose, Buttons::NONE, force));
         }
         assert_eq!(trace.points().len(), 10);
-        assert_eq!(trace.points()[9].time, ClientTime::from_micros(36));
+        assert_eq!(trace.points()[9].t_us, 36);
         assert_eq!(trace.lost(), 15);
         assert_eq!(trace.points.capacity(), 10);
     }

@@ -10,12 +10,7 @@ use std::sync::Arc;
 
 use clap::Args;
 use nalgebra::Vector3;
-use palpate_client::prefetch::{CutNews, CutOrder, Prefetch};
 use palpate_client::realtime::worked;
-use palpate_client::replica::{HAPTIC_PERIOD, hand_budget};
-use palpate_client::site::{SiteError, ViewNews};
-use palpate_client::view::{VIEW_TOLERANCE, View};
-use palpate_client::{Site, convert};
 use palpate_device::Pose;
 use palpate_protocol::clock::ClockMap;
 use palpate_protocol::handshake::{RosterEntry, Welcome};
@@ -27,6 +22,10 @@ use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
     ClientTime, Epoch, LocalSample, ModelHash, ModelInfo, OperationId, ParticipantId, ResumeToken,
     Role, ServerTime, Span, TopologyHash,
+};
+use palpate_site::{
+    CutNews, CutOrder, HAPTIC_PERIOD, Prefetch, Site, SiteError, VIEW_TOLERANCE, View, ViewNews,
+    hand_budget, tissue_stroke,
 };
 use palpate_tissue::{Budget, Model, Topology, cut};
 use serde::Serialize;
@@ -297,7 +296,7 @@ impl Cuts {
                 width_m: 0.0,
             };
             let before = topology.version();
-            if cut(&mut topology, &convert::tissue_stroke(&stroke)).is_err() {
+            if cut(&mut topology, &tissue_stroke(&stroke)).is_err() {
                 continue;
             }
             operations.push(Operation {

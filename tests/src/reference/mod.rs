@@ -17,14 +17,12 @@ mod table;
 
 use std::sync::Arc;
 
-use palpate_client::Replica;
-use palpate_client::convert::tissue_stroke;
-use palpate_client::prefetch::ReplicaError;
 use palpate_client::recording::Recording;
 use palpate_device::{DeviceFault, Script};
 use palpate_protocol::operation::{BladePoint, CutStroke, Operation, OperationKind};
 use palpate_protocol::request::CutRequest;
 use palpate_protocol::{OperationId, ParticipantId, ServerTime, TopologyHash};
+use palpate_site::{Replica, ReplicaError, tissue_stroke};
 use palpate_tissue::{Model, TopologyHash as TissueHash, Vec3, cut, to_rest};
 
 use crate::force_error::ForcePoint;

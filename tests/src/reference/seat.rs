@@ -1,10 +1,8 @@
 //! A hand with its haptic chain, its tool and the stroke of its blade.
 
 use nalgebra::{Quaternion, Unit};
-use palpate_client::ToolAt;
-use palpate_client::convert::tool_description;
 use palpate_client::recording::Recording;
-use palpate_client::stroke::StrokeCollector;
+use palpate_client::tool_description;
 use palpate_device::backend::replay::{Moment, Motion, Replay};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::{
@@ -13,6 +11,7 @@ use palpate_device::{
 use palpate_haptics::{Chain, ChainConfig, ContactModel};
 use palpate_protocol::request::CutRequest;
 use palpate_protocol::{ClientTime, ParticipantId, Pose, ServerTime};
+use palpate_site::{StrokeCollector, ToolAt};
 
 use super::{LEAD_US, ReferenceError};
 use crate::force_error::ForcePoint;

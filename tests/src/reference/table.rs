@@ -1,12 +1,11 @@
 //! Two hands on one replica of the tissue, or on one each.
 
-use palpate_client::replica::hand_budget;
-use palpate_client::{Replica, ToolAt};
 use palpate_device::Sample;
 use palpate_haptics::ContactModel;
 use palpate_protocol::ClientTime;
 use palpate_protocol::operation::CutStroke;
 use palpate_protocol::request::CutRequest;
+use palpate_site::{Replica, ToolAt, hand_budget};
 use palpate_tissue::Budget;
 
 use super::check::{self, Checks};

@@ -1,7 +1,7 @@
 //! The network end of a simulated participant: its protocol session and its clock.
 
 use palpate_protocol::handshake::Hello;
-use palpate_protocol::session::ClientSession;
+use palpate_protocol::session::{ClientEvent, ClientSession};
 
 use super::links::{Arrived, Links};
 use super::site_clock::SiteClock;
@@ -12,6 +12,8 @@ pub(crate) struct Endpoint {
     pub(crate) seat: usize,
     pub(crate) clock: SiteClock,
     pub(crate) session: ClientSession,
+    /// Whether the connection stands; without it the session neither receives nor sends.
+    pub(super) is_open: bool,
     /// First error.
     pub(crate) trouble: Option<String>,
 }
@@ -24,12 +26,16 @@ impl Endpoint {
             seat,
             clock,
             session,
+            is_open: true,
             trouble: None,
         })
     }
 
     /// Receives a packet.
     pub(super) fn handle(&mut self, arrived: &Arrived<Vec<u8>>, at_us: i64) {
+        if !self.is_open {
+            return;
+        }
         let now = self.clock.at(at_us);
         match arrived {
             Arrived::Stream(segments) => self.session.handle_stream(&segments.concat(), now),
@@ -40,19 +46,32 @@ impl Endpoint {
     /// Handles the session's timeout if it is due.
     pub(crate) fn handle_timeout(&mut self, at_us: i64) {
         let now = self.clock.at(at_us);
-        if self.session.poll_timeout().is_some_and(|due| due <= now) {
+        if self.is_open && self.session.poll_timeout().is_some_and(|due| due <= now) {
             self.session.handle_timeout(now);
         }
     }
 
     /// Sends the session's output.
     pub(super) fn send(&mut self, links: &mut Links<Vec<u8>>, at_us: i64) {
+        if !self.is_open {
+            return;
+        }
         while let Some(bytes) = self.session.poll_stream() {
             links.send_stream(self.seat, Direction::Up, at_us, &bytes);
         }
         while let Some(bytes) = self.session.poll_datagram(self.clock.at(at_us)) {
             links.send_datagram(self.seat, Direction::Up, at_us, bytes);
         }
+    }
+
+    /// Replaces the session by one over a new connection.
+    pub(super) fn connect(&mut self, session: ClientSession) {
+        (self.session, self.is_open) = (session, true);
+    }
+
+    /// The next event of the session.
+    pub(super) fn poll_event(&mut self) -> Option<ClientEvent> {
+        self.is_open.then(|| self.session.poll_event()).flatten()
     }
 
     /// Keeps the first error.

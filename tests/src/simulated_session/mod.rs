@@ -33,9 +33,9 @@ mod trainee;
 use std::sync::Arc;
 
 use palpate_client::Recording;
-use palpate_client::site::SiteCounters;
 use palpate_device::Script;
 use palpate_protocol::operation::CompensationSettings;
+use palpate_site::SiteCounters;
 use palpate_tissue::Model;
 use serde::Serialize;
 

@@ -1,5 +1,5 @@
-use palpate_client::site::RESYNCS_MAX;
 use palpate_protocol::operation::CompensationMode;
+use palpate_site::RESYNCS_MAX;
 use palpate_tissue::{Material, Topology, block};
 
 use super::*;

@@ -4,11 +4,10 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use palpate_client::site::Site;
-use palpate_client::thin::ThinView;
 use palpate_protocol::handshake::{Hello, Subscription};
 use palpate_protocol::session::{ClientEvent, Picture};
 use palpate_protocol::{Role, ServerTime};
+use palpate_site::{Site, ThinView};
 use palpate_tissue::{Model, Shape};
 use serde::Serialize;
 
@@ -103,7 +102,10 @@ impl ThinSpectator {
             .script_start()
             .map(|at| self.endpoint.clock.true_us(at));
         if self.began.is_none() && begins.is_some_and(|b| b <= at_us) {
-            let told = site.replica().thin_view().map_or(0, |t| t.counters().told);
+            let told = site
+                .replica()
+                .thin_view()
+                .map_or(0, |t| t.counters().received);
             self.began = Some((at_us, self.bytes, told));
         }
         if let Some(frame) = site.next_view(now)
@@ -141,7 +143,7 @@ impl ThinSpectator {
         }
         let thin = self.site.as_ref().and_then(|s| s.replica().thin_view());
         let counters = thin.map(ThinView::counters).unwrap_or_default();
-        let nodes = (counters.told - told) as f64 / seconds;
+        let nodes = (counters.received - told) as f64 / seconds;
         ThinSpectatorResult {
             apart_mm: DistancesMm::of(&mut self.apart_mm),
             rest_mm: DistancesMm::of(&mut rest),

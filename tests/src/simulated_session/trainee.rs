@@ -2,19 +2,17 @@
 
 use std::sync::Arc;
 
-use palpate_client::convert::{local_sample, tool_description};
-use palpate_client::realtime::{HandLoop, Wishes, device_time};
-use palpate_client::recording::{HapticPoint, Recording, ToolRecord, ViewRecord, choose_nodes};
-use palpate_client::replica::hand_budget;
-use palpate_client::requests::Requests;
-use palpate_client::site::{Site, SiteCounters, ViewFrame};
-use palpate_client::view::VIEW_TOLERANCE;
+use palpate_client::realtime::{HandLoop, Wishes, device_time, local_sample};
+use palpate_client::recording::{HapticPoint, Recording, ViewRecord};
+use palpate_client::tool_description;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::{HapticDevice, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel};
-use palpate_protocol::handshake::{Hello, Resume, Subscription};
+use palpate_protocol::compensation::DelaySchedule;
+use palpate_protocol::handshake::{Hello, Subscription, Welcome};
 use palpate_protocol::session::{ClientEvent, ClientSession};
-use palpate_protocol::{ClientTime, OperationId, ParticipantId, Role, Span, TopologyHash};
+use palpate_protocol::{ClientTime, Role, Span};
+use palpate_site::{Action, Reconnector, Site, SiteCounters, VIEW_TOLERANCE, hand_budget};
 use palpate_tissue::{Budget, Model};
 
 use super::endpoint::Endpoint;
@@ -32,6 +30,9 @@ const HAPTIC_EVERY: u64 = 4;
 /// Solver iterations per view, as in the client.
 const VIEW_ITERATIONS: usize = 2;
 
+/// How long a trainee tries to reconnect, as in the client.
+const PATIENCE: Span = Span::from_millis(60_000);
+
 /// A trainee.
 pub(super) struct Trainee {
     pub(super) endpoint: Endpoint,
@@ -43,10 +44,10 @@ pub(super) struct Trainee {
     hand: HandLoop,
     contact: ContactModel,
     hello: Hello,
-    requests: Requests,
-    /// Seat and position in the operation log, for a reconnect.
-    resume: Option<Resume>,
-    wants_connection: bool,
+    /// The seat; `None` before the join.
+    reconnector: Option<Reconnector>,
+    /// The connection to open next.
+    next_connection: Option<(Box<Hello>, DelaySchedule)>,
     site: Option<Site>,
     pub(super) mishaps: Vec<Mishap>,
     first_view: Option<ClientTime>,
@@ -89,9 +90,8 @@ impl Trainee {
             hand,
             contact: ContactModel::free_at(now, 0),
             hello,
-            requests: Requests::new(ParticipantId::SERVER),
-            resume: None,
-            wants_connection: false,
+            reconnector: None,
+            next_connection: None,
             site: None,
             mishaps: Vec::new(),
             first_view: None,
@@ -120,7 +120,9 @@ impl Trainee {
         }
         if turned.is_good && self.site.is_some() {
             let sample = local_sample(&frame);
-            self.endpoint.session.send_motion(sample);
+            if self.endpoint.is_open {
+                self.endpoint.session.send_motion(sample);
+            }
             if let Some(site) = &mut self.site {
                 site.handle_own(&sample);
             }
@@ -135,6 +137,49 @@ impl Trainee {
             if let Some(model) = site.haptic_step(now, frame.sample.pose, buttons, budget) {
                 self.contact = model;
             }
+        }
+    }
+
+    fn join(&mut self, welcome: &Welcome) {
+        self.recording.participant = welcome.participant.0;
+        let new = if self.solves { Site::new } else { Site::thin };
+        self.site = Some(new(welcome, Arc::clone(&self.model), self.blade_length_m));
+        let hello = self.hello.clone();
+        self.reconnector = Some(Reconnector::new(hello, welcome, PATIENCE, 0));
+    }
+
+    /// Carries out the actions of the reconnector.
+    fn act(&mut self, now: ClientTime) {
+        while let Some(action) = self.reconnector.as_mut().and_then(Reconnector::poll_action) {
+            match action {
+                Action::Deliver(event) => self.deliver(event, now),
+                Action::Send(request) => {
+                    if self.endpoint.is_open {
+                        let sent = self.endpoint.session.send_request(request);
+                        self.endpoint.check(sent);
+                    }
+                }
+                Action::Disconnect => self.endpoint.is_open = false,
+                Action::Connect(hello, delay) => self.next_connection = Some((hello, delay)),
+                Action::End(_) => {}
+            }
+        }
+    }
+
+    /// Delivers an event to the site, with the faults of this trainee.
+    fn deliver(&mut self, mut event: ClientEvent, now: ClientTime) {
+        match &event {
+            ClientEvent::LinkLost => self.link_lost = true,
+            ClientEvent::LinkRestored => self.link_lost = false,
+            ClientEvent::Closed(reason) => self.endpoint.check(Err(reason)),
+            _ => {}
+        }
+        let since = self.first_view.map(|first| now - first);
+        for mishap in &mut self.mishaps {
+            mishap.spoil(&mut event, since);
+        }
+        if let Some(site) = &mut self.site {
+            self.endpoint.check(site.handle_event(event, now));
         }
     }
 
@@ -156,21 +201,25 @@ impl Trainee {
         };
         if let Some(frame) = site.view_step(now, budget) {
             self.first_view.get_or_insert(now);
-            let view = record(site, &frame, at_us);
+            let shown = ClientTime::from_micros(at_us);
+            let view = site.seen();
+            let view = view.map(|(shape, version)| ViewRecord::new(&frame, shape, version, shown));
             self.recording.views.extend(view);
         }
-        self.wants_connection |= site.poll_rejoin().is_some();
-        let stands = self.endpoint.session.participant().is_some();
-        while let Some(request) = site.poll_request().filter(|_| stands) {
-            let request = self.requests.number(request);
-            let sent = self.endpoint.session.send_request(request);
-            self.endpoint.check(sent);
+        if let Some(reconnector) = &mut self.reconnector {
+            if let Some(why) = site.poll_resync() {
+                reconnector.handle_resync(why, now);
+            }
+            while let Some(request) = site.poll_request() {
+                reconnector.handle_request(request, true);
+            }
         }
         while let Some(mut operation) = site.poll_applied() {
             operation.applied_us = at_us;
             self.recording.operations.push(operation);
         }
         while site.poll_notice().is_some() {}
+        self.act(now);
     }
 
     /// Counters of the site.
@@ -190,65 +239,37 @@ impl Participant for Trainee {
         &mut self.endpoint
     }
 
-    /// Reconnects to its seat and requests the whole operation log.
+    /// Opens the connection that the reconnector has requested.
     fn reconnect(&mut self, at_us: i64) -> bool {
-        if !std::mem::take(&mut self.wants_connection) {
+        let Some((hello, delay)) = self.next_connection.take() else {
             return false;
-        }
-        let hello = Hello {
-            resume: self.resume.map(|resume| Resume {
-                next_operation: OperationId(0),
-                topology_version: 0,
-                topology_hash: TopologyHash(0),
-                ..resume
-            }),
-            ..self.hello.clone()
         };
-        let session = ClientSession::new(hello, self.endpoint.clock.at(at_us));
-        let session = session.map(|session| self.endpoint.session = session);
-        self.endpoint.check(session);
+        match ClientSession::new(*hello, self.endpoint.clock.at(at_us)) {
+            Ok(mut session) => {
+                session.resume_schedule(delay);
+                self.endpoint.connect(session);
+            }
+            Err(error) => self.endpoint.check(Err(error)),
+        }
         true
     }
 
     fn take_events(&mut self, at_us: i64) {
         let now = self.endpoint.clock.at(at_us);
-        while let Some(mut event) = self.endpoint.session.poll_event() {
-            self.requests.handle_event(&event);
-            match &event {
-                ClientEvent::Welcomed(welcome) => {
-                    self.recording.participant = welcome.participant.0;
-                    self.resume = Some(Resume::after_welcome(welcome, self.resume));
-                    if self.site.is_none() {
-                        let model = Arc::clone(&self.model);
-                        self.requests = Requests::new(welcome.participant);
-                        let new = if self.solves { Site::new } else { Site::thin };
-                        self.site = Some(new(welcome, model, self.blade_length_m));
-                        continue;
-                    }
-                    for request in self.requests.unanswered() {
-                        let sent = self.endpoint.session.send_request(request);
-                        self.endpoint.check(sent);
-                    }
+        while let Some(event) = self.endpoint.poll_event() {
+            match (event, &mut self.reconnector) {
+                (ClientEvent::Welcomed(welcome), None) => self.join(&welcome),
+                (ClientEvent::Welcomed(welcome), Some(reconnector)) => {
+                    reconnector.handle_welcome(welcome, now);
                 }
-                ClientEvent::Operation(operation) => {
-                    if let Some(resume) = &mut self.resume {
-                        resume.note(operation);
-                    }
+                (ClientEvent::Closed(reason), None) => self.endpoint.check(Err(reason)),
+                (ClientEvent::Closed(reason), Some(reconnector)) if !reconnector.is_connected() => {
+                    reconnector.handle_failure(reason.to_string(), now);
                 }
-                ClientEvent::LinkLost => self.link_lost = true,
-                ClientEvent::LinkRestored => self.link_lost = false,
-                ClientEvent::Closed(reason) => {
-                    self.endpoint.check(Err(reason));
-                }
-                _ => {}
+                (event, Some(reconnector)) => reconnector.handle_event(event, now),
+                (_, None) => {}
             }
-            let since = self.first_view.map(|first| now - first);
-            for mishap in &mut self.mishaps {
-                mishap.spoil(&mut event, since);
-            }
-            if let Some(site) = &mut self.site {
-                self.endpoint.check(site.handle_event(event, now));
-            }
+            self.act(now);
         }
     }
 
@@ -257,30 +278,13 @@ impl Participant for Trainee {
         self.feel(now, at_us);
         self.endpoint.handle_timeout(at_us);
         self.take_events(at_us);
+        if let Some(reconnector) = &mut self.reconnector {
+            reconnector.handle_timeout(now);
+            self.act(now);
+        }
         if self.ticks.is_multiple_of(HAPTIC_EVERY) {
             self.live(now, at_us);
         }
         self.ticks += 1;
     }
-}
-
-fn record(site: &mut Site, frame: &ViewFrame, at_us: i64) -> Option<ViewRecord> {
-    let (shape, version) = site.seen()?;
-    let moved = shape.displacement.iter().enumerate();
-    Some(ViewRecord {
-        s_us: frame.s.as_micros(),
-        shown_us: at_us,
-        delay_us: frame.delay.as_micros(),
-        tools: frame
-            .tools
-            .iter()
-            .map(|t| ToolRecord {
-                participant: t.participant.0,
-                position_m: t.position.into(),
-                stale: t.stale,
-            })
-            .collect(),
-        nodes: choose_nodes(moved.map(|(n, u)| (n as u32, (*u).into()))),
-        topology_version: version,
-    })
 }

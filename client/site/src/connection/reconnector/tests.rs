@@ -1,0 +1,251 @@
+use palpate_protocol::handshake::Subscription;
+use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+use palpate_protocol::request::CutRequest;
+use palpate_protocol::{
+    Epoch, Grant, ModelHash, ModelInfo, ParticipantId, ResumeToken, Role, ServerTime,
+};
+
+use super::*;
+
+const DOCUMENT: &str = include_str!("../../../../../protocol/STATES.md");
+
+const STATES: [&str; 4] = ["Connected", "Waiting", "Connecting", "Ended"];
+
+const PATIENCE: Span = Span::from_millis(60_000);
+
+fn at(ms: i64) -> ClientTime {
+    ClientTime::from_micros(ms * 1000)
+}
+
+/// A welcome to a log of six operations, from the operation `first` on.
+fn welcome(first: u64) -> Box<Welcome> {
+    Box::new(Welcome {
+        participant: ParticipantId(1),
+        epoch: Epoch(1),
+        role: Role::Trainee,
+        server_time: ServerTime::ZERO,
+        model: ModelInfo {
+            hash: ModelHash(0),
+            bytes: 0,
+        },
+        roster: Vec::new(),
+        topology_version: 0,
+        topology_hash: TopologyHash(0),
+        first_operation: OperationId(first),
+        operations_so_far: 6,
+        compensation: CompensationSettings {
+            mode: CompensationMode::Fixed,
+            initial_delay_us: 0,
+        },
+        tick_hz: 60,
+        session_started_at: None,
+        resume_token: ResumeToken([0; 16]),
+    })
+}
+
+/// A connected machine that has five operations of the log.
+fn connected() -> Reconnector {
+    let hello = Hello {
+        name: "ann".to_owned(),
+        role: Role::Trainee,
+        grant: Grant([0; 16]),
+        tool: None,
+        subscription: Subscription::Full,
+        resume: None,
+    };
+    Reconnector::new(hello, &welcome(5), PATIENCE, 0)
+}
+
+fn lost() -> Reconnector {
+    let mut machine = connected();
+    machine.handle_lost("a test".to_owned(), at(0));
+    machine
+}
+
+fn cut() -> RequestKind {
+    RequestKind::Cut(CutRequest {
+        points: Vec::new(),
+        width_m: 0.0,
+    })
+}
+
+fn actions(machine: &mut Reconnector) -> Vec<Action> {
+    std::iter::from_fn(|| machine.poll_action()).collect()
+}
+
+fn numbers_sent(machine: &mut Reconnector) -> Vec<u32> {
+    let sent = |action| match action {
+        Action::Send(request) => Some(request.id.0),
+        _ => None,
+    };
+    actions(machine).into_iter().filter_map(sent).collect()
+}
+
+/// The position in the log that the next connection resumes at.
+fn position_asked(machine: &mut Reconnector) -> Option<u64> {
+    let asked = |action| match action {
+        Action::Connect(hello, _) => Some(hello.resume.unwrap().next_operation.0),
+        _ => None,
+    };
+    actions(machine).into_iter().find_map(asked)
+}
+
+fn state_of(machine: &Reconnector) -> &'static str {
+    match &machine.state {
+        State::Connected { .. } => "Connected",
+        State::Away(outage) if outage.is_connecting => "Connecting",
+        State::Away(_) => "Waiting",
+        State::Ended => "Ended",
+    }
+}
+
+fn run(from: &str, what: &str) -> &'static str {
+    let mut machine = lost();
+    match from {
+        "Connected" => machine = connected(),
+        "Connecting" => machine.handle_timeout(at(250)),
+        _ => {}
+    }
+    assert_eq!(state_of(&machine), from);
+    match what {
+        "the connection is lost" => machine.handle_lost("a test".to_owned(), at(300)),
+        "silence for 0.9 s more" | "silence for 1 s more" => {
+            machine.handle_event(ClientEvent::LinkLost, at(300));
+            machine.handle_timeout(at(if what.contains("0.9") { 1200 } else { 1300 }));
+        }
+        "packets again after silence" => {
+            machine.handle_event(ClientEvent::LinkLost, at(300));
+            machine.handle_event(ClientEvent::LinkRestored, at(400));
+            machine.handle_timeout(at(2000));
+        }
+        "the replica differs" => machine.handle_resync("a test".to_owned(), at(300)),
+        "a goodbye" => {
+            let reason = CloseReason::Goodbye("a test".to_owned());
+            machine.handle_event(ClientEvent::Closed(reason), at(300));
+        }
+        "the participant leaves" => machine.handle_leave(),
+        "the delay passes" => machine.handle_timeout(at(250)),
+        "60 s pass" => machine.handle_timeout(at(60_000)),
+        "a welcome" => machine.handle_welcome(welcome(5), at(300)),
+        "no answer for 4 s" => machine.handle_timeout(at(4250)),
+        "the attempt fails" => machine.handle_failure("a test".to_owned(), at(300)),
+        "the seat is refused" => machine.handle_refusal("a test".to_owned()),
+        other => panic!("no test for \"{other}\" of a reconnect"),
+    }
+    state_of(&machine)
+}
+
+#[test]
+fn reconnect_transitions_match_documented_table() {
+    let section = DOCUMENT.split("## Reconnect\n").nth(1).unwrap();
+    let section = section.split("\n## ").next().unwrap();
+    let lines = section.lines().filter(|l| l.starts_with('|')).skip(2);
+    let rows: Vec<Vec<&str>> = lines
+        .map(|l| l.split('|').map(str::trim).collect())
+        .collect();
+    for state in STATES {
+        assert!(
+            rows.iter().any(|r| r[3] == state),
+            "nothing leads to {state}"
+        );
+    }
+    for row in &rows {
+        assert!(STATES.contains(&row[1]), "there is no state {}", row[1]);
+        assert_eq!(run(row[1], row[2]), row[3], "{}, {}", row[1], row[2]);
+    }
+}
+
+#[test]
+fn rejected_request_is_counted_and_takes_no_number() {
+    let mut machine = connected();
+    machine.handle_request(cut(), true);
+    machine.handle_request(cut(), false);
+    assert_eq!(machine.status().requests_lost, 1);
+    machine.handle_request(cut(), true);
+    assert_eq!(numbers_sent(&mut machine), [1, 2], "no number is skipped");
+    machine.handle_lost("a test".to_owned(), at(0));
+    machine.handle_request(cut(), true);
+    assert_eq!(machine.status().requests_lost, 2);
+    machine.handle_timeout(at(250));
+    machine.handle_welcome(welcome(5), at(300));
+    assert_eq!(
+        numbers_sent(&mut machine),
+        [1, 2],
+        "requests outlive their connection"
+    );
+}
+
+#[test]
+fn old_requests_are_lost_instead_of_repeated() {
+    let mut machine = connected();
+    machine.handle_request(cut(), true);
+    machine.handle_lost("a test".to_owned(), at(0));
+    machine.handle_timeout(at(250));
+    actions(&mut machine);
+    machine.handle_welcome(welcome(5), at(10_001));
+    assert!(numbers_sent(&mut machine).is_empty());
+    assert_eq!(machine.status().requests_lost, 1);
+}
+
+#[test]
+fn delays_between_attempts_double_until_patience_is_over() {
+    let mut machine = lost();
+    let mut waits = Vec::new();
+    while state_of(&machine) != "Ended" {
+        let due = machine.poll_timeout().unwrap();
+        waits.push(due.as_micros() / 1000);
+        machine.handle_timeout(due);
+        machine.handle_failure("unreachable".to_owned(), due);
+    }
+    assert_eq!(
+        waits,
+        [
+            250, 750, 1750, 3750, 7750, 15_750, 23_750, 31_750, 39_750, 47_750, 55_750, 60_000
+        ]
+    );
+    let all = actions(&mut machine);
+    let Some(Action::Deliver(ClientEvent::Closed(reason))) = all.iter().nth_back(1) else {
+        panic!("{all:?}");
+    };
+    assert_eq!(
+        reason.to_string(),
+        "the connection was lost: a test; reconnecting failed for 60 s: unreachable"
+    );
+    assert!(matches!(all.last(), Some(Action::End(Farewell::Open))));
+}
+
+#[test]
+fn resync_asks_for_the_whole_log_once() {
+    let mut machine = lost();
+    machine.handle_timeout(at(250));
+    assert_eq!(position_asked(&mut machine), Some(5));
+    machine.handle_resync("it drifts".to_owned(), at(260));
+    machine.handle_welcome(welcome(5), at(300));
+    assert_eq!(position_asked(&mut machine), Some(0));
+    machine.handle_resync("it drifts".to_owned(), at(310));
+    machine.handle_welcome(welcome(0), at(350));
+    assert_eq!(state_of(&machine), "Connected");
+    assert_eq!(position_asked(&mut machine), None);
+}
+
+#[test]
+fn link_is_reported_lost_and_restored_once() {
+    let mut machine = lost();
+    for t in [250, 1000] {
+        machine.handle_timeout(at(t));
+        machine.handle_failure("unreachable".to_owned(), at(t));
+    }
+    machine.handle_timeout(at(5000));
+    machine.handle_welcome(welcome(5), at(5100));
+    let of_link = |action: &Action| match action {
+        Action::Deliver(ClientEvent::LinkLost) => Some(false),
+        Action::Deliver(ClientEvent::LinkRestored) => Some(true),
+        _ => None,
+    };
+    let reported: Vec<bool> = actions(&mut machine).iter().filter_map(of_link).collect();
+    assert_eq!(reported, [false, true]);
+    assert_eq!(
+        (machine.status().reconnects, machine.is_connected()),
+        (1, true)
+    );
+}

@@ -1,0 +1,44 @@
+//! One participant's site: replica, view and connection of a session, as pure state machines.
+//!
+//! ```text
+//! connection --ClientEvent--> Reconnector --ClientEvent--> Site --ContactModel--> force loop
+//!            <---Hello, Request---------- <--RequestKind--      --ViewFrame-----> view
+//!                                                 |
+//!                                      Replica: two shapes of the tissue,
+//!                                      Roster: the tools of all participants
+//! ```
+//!
+//! Nothing here has a clock, a thread or a socket: time is an argument. The client runs these machines in real time,
+//! the laboratory in virtual time.
+//!
+//! ```
+//! use std::sync::Arc;
+//!
+//! use palpate_protocol::ClientTime;
+//! use palpate_site::{Replica, hand_budget};
+//! use palpate_tissue::{Material, block};
+//!
+//! let model = Arc::new(block([4, 4, 4], 4e-3, &Material::default(), 1));
+//! let mut replica = Replica::new(model, true);
+//! let mut never = || false;
+//! let contact = replica.haptic_step(ClientTime::ZERO, None, &[], hand_budget(&mut never));
+//! assert!(!contact.in_contact(), "without a tool");
+//! ```
+
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+mod connection;
+mod replica;
+mod site;
+mod tools;
+
+pub use connection::{Action, ConnectionStatus, Farewell, Reconnector};
+pub use replica::{
+    CutNews, CutOrder, Drift, HAPTIC_PERIOD, Prefetch, Replica, ReplicaError, ThinCounters,
+    ThinView, VIEW_TOLERANCE, View, ViewCut, hand_budget,
+};
+pub use site::{
+    OperationRecord, RESYNCS_MAX, Site, SiteCounters, SiteError, ViewFrame, ViewNews, grid_index,
+    grid_moment,
+};
+pub use tools::{Reach, Roster, StrokeCollector, ToolAt, tissue_stroke};

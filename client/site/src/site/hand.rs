@@ -1,0 +1,122 @@
+//! Haptic solves of the site: contact model of the own tool, and the decision when to solve again.
+//!
+//! Between two solves the force loop extrapolates with the solved stiffness. A new solve is needed only after a tool
+//! has moved, after the topology has changed, or while forces have not settled. Otherwise the contact model is
+//! renewed without a solve.
+
+use palpate_haptics::ContactModel;
+use palpate_protocol::{ClientTime, Span};
+use palpate_tissue::Budget;
+
+use super::Site;
+use crate::replica::Replica;
+use crate::tools::ToolAt;
+
+/// Movement of this hand's tool that triggers a solve, m. The error of the linear law is then below that of the
+/// solver.
+const OWN_MOVED_M: f64 = 0.15e-3;
+
+/// Movement of another tool that triggers a solve, m; the tissue in between smooths its effect on this hand.
+const OTHER_MOVED_M: f64 = 0.3e-3;
+
+/// Maximum time between two solves: tissue far from the tools relaxes over many solves.
+const SOLVE_WITHIN: Span = Span::from_millis(20);
+
+/// The latest haptic solve.
+pub(super) struct LastSolve {
+    at: ClientTime,
+    /// The tools of the solve, moved since if they touched nothing.
+    own: Option<ToolAt>,
+    others: Vec<ToolAt>,
+    model: ContactModel,
+    /// Whether the next step must solve in any case.
+    unsettled: bool,
+}
+
+impl LastSolve {
+    /// Whether another solve would give a force that is equal within perception. Tools without contact are moved in
+    /// the replica.
+    fn holds(
+        &mut self,
+        now: ClientTime,
+        own: Option<&ToolAt>,
+        others: &[ToolAt],
+        replica: &mut Replica,
+    ) -> bool {
+        let tools = self.own.iter().chain(&self.others);
+        let alike = |(old, new): (&ToolAt, &ToolAt)| new.is_alike(old);
+        let same = !self.unsettled
+            && now - self.at < SOLVE_WITHIN
+            && self.model.topology_version == replica.topology().version()
+            && self.own.is_some() == own.is_some()
+            && self.others.len() == others.len()
+            && tools.zip(own.into_iter().chain(others)).all(alike);
+        if !same {
+            return false;
+        }
+        let own = self.own.iter_mut().zip(own);
+        let mut own = own.map(|(old, new)| (old, new, OWN_MOVED_M));
+        let others = self.others.iter_mut().zip(others);
+        let mut others = others.map(|(old, new)| (old, new, OTHER_MOVED_M));
+        let mut is_still = |(old, new, limit): (&mut ToolAt, &ToolAt, f64)| {
+            if new.is_within(old, limit) {
+                return true;
+            }
+            let is_free = replica.move_free(new);
+            if is_free {
+                *old = *new;
+            }
+            is_free
+        };
+        own.all(&mut is_still) && others.all(&mut is_still)
+    }
+}
+
+impl Site {
+    /// The contact model of the tool at `pose`, solved if anything has changed since the last solve; `None` for
+    /// spectators.
+    pub fn haptic_step(
+        &mut self,
+        now: ClientTime,
+        pose: palpate_device::Pose,
+        buttons: u8,
+        budget: Budget<'_>,
+    ) -> Option<ContactModel> {
+        self.replica.haptic_shape()?;
+        let own = self.own_tool().map(|description| ToolAt {
+            participant: self.me,
+            description,
+            position: pose.position,
+            orientation: pose.orientation,
+            buttons,
+            stale: false,
+        });
+        let others = match self.moment(now) {
+            Some((s, _)) => self.roster.tools_felt_at(s, self.me),
+            None => Vec::new(),
+        };
+        // Copying the state for a cut has used the time of this step.
+        let is_spent = self.cuts.take_captured();
+        if let Some(last) = &mut self.last_solve {
+            if last.holds(now, own.as_ref(), &others, &mut self.replica) {
+                last.model.solved_at = now;
+                return Some(last.model);
+            }
+            let version = self.replica.topology().version();
+            if is_spent && last.model.topology_version == version {
+                return Some(last.model);
+            }
+        }
+        let model = self.replica.haptic_step(now, own.as_ref(), &others, budget);
+        self.counters.haptic_solves += 1;
+        self.lead_cut();
+        self.last_solve = Some(LastSolve {
+            at: now,
+            own,
+            others,
+            model,
+            unsettled: self.replica.is_unsettled() || !model.is_usable(),
+        });
+        Some(model)
+    }
+}

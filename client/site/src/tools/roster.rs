@@ -1,0 +1,230 @@
+//! Participants of the session, and the poses of their tools at a time.
+
+use std::collections::BTreeMap;
+
+use palpate_protocol::compensation::BRIDGE;
+use palpate_protocol::handshake::{ROSTER_MAX, RosterEntry};
+use palpate_protocol::timeline::Timeline;
+use palpate_protocol::tool::ToolDescription;
+use palpate_protocol::{ParticipantId, ServerTime, Span, ToolSample};
+
+use super::ToolAt;
+
+/// Age of samples from which an extrapolated pose differs from the server's: twice the gap that the artificial delay
+/// leaves.
+const BRIDGED_MAX: Span = Span::from_micros(2 * BRIDGE.as_micros());
+
+/// Age of the newest sample from which a participant counts as silent instead of slow.
+const SILENT: Span = Span::from_millis(2000);
+
+#[derive(Debug, Clone)]
+struct Seat {
+    name: String,
+    tool: Option<ToolDescription>,
+    /// Whether the participant is demoted: the tool is inactive, because the participant's network is too slow.
+    demoted: bool,
+    /// Timeline for the view, queried on the common grid.
+    seen: Timeline,
+    /// Timeline for the hand, queried at any time. Corrections are blended along the queried times, so each use has
+    /// its own.
+    felt: Timeline,
+}
+
+impl Seat {
+    /// The tool, unless its participant is demoted.
+    fn active_tool(&self) -> Option<ToolDescription> {
+        self.tool.filter(|_| !self.demoted)
+    }
+}
+
+/// All participants, ordered by number. The order is the same at every site, because contacts are solved in list
+/// order.
+#[derive(Debug, Clone, Default)]
+pub struct Roster {
+    seats: BTreeMap<ParticipantId, Seat>,
+}
+
+impl Roster {
+    /// The roster of a welcome.
+    pub fn new(entries: &[RosterEntry]) -> Self {
+        let mut roster = Self::default();
+        for entry in entries {
+            roster.join(entry.clone());
+        }
+        roster
+    }
+
+    /// Adds a participant. A known participant keeps the tool's timeline. Entries beyond [`ROSTER_MAX`] are ignored;
+    /// no server admits more.
+    pub fn join(&mut self, entry: RosterEntry) {
+        if let Some(seat) = self.seats.get_mut(&entry.participant) {
+            (seat.name, seat.tool) = (entry.name, entry.tool);
+        } else if self.seats.len() < ROSTER_MAX {
+            let seat = Seat {
+                name: entry.name,
+                tool: entry.tool,
+                demoted: false,
+                seen: Timeline::default(),
+                felt: Timeline::default(),
+            };
+            self.seats.insert(entry.participant, seat);
+        }
+    }
+
+    /// Removes a participant.
+    pub fn leave(&mut self, who: ParticipantId) {
+        self.seats.remove(&who);
+    }
+
+    /// Clears the timelines of a disconnected participant: the tool is inactive until its next sample.
+    pub fn lose(&mut self, who: ParticipantId) {
+        if let Some(seat) = self.seats.get_mut(&who) {
+            (seat.seen, seat.felt) = (Timeline::default(), Timeline::default());
+        }
+    }
+
+    /// Demotes a participant or restores the tool.
+    pub fn set_demoted(&mut self, who: ParticipantId, demoted: bool) {
+        if let Some(seat) = self.seats.get_mut(&who) {
+            seat.demoted = demoted;
+        }
+    }
+
+    /// Whether a participant is demoted.
+    pub fn is_demoted(&self, who: ParticipantId) -> bool {
+        self.seats.get(&who).is_some_and(|seat| seat.demoted)
+    }
+
+    /// Changes the tool of a participant.
+    pub fn change_tool(&mut self, who: ParticipantId, tool: ToolDescription) {
+        if let Some(seat) = self.seats.get_mut(&who) {
+            seat.tool = Some(tool);
+        }
+    }
+
+    /// Adds a sample of a participant's tool; unknown participants are ignored.
+    pub fn insert(&mut self, who: ParticipantId, sample: ToolSample) {
+        if let Some(seat) = self.seats.get_mut(&who) {
+            seat.seen.insert(sample);
+            seat.felt.insert(sample);
+        }
+    }
+
+    /// All tools at a time of the common grid. Query in ascending order: late samples are blended in from one query
+    /// to the next.
+    pub fn tools_seen_at(&mut self, s: ServerTime) -> Vec<ToolAt> {
+        let at = |(who, seat): (&ParticipantId, &mut Seat)| {
+            let shown = seat.seen.at(s)?;
+            Some(ToolAt::shown(*who, seat.active_tool()?, &shown))
+        };
+        self.seats.iter_mut().filter_map(at).collect()
+    }
+
+    /// Whether a tool's pose at `s` is extrapolated from samples that are too old, so that the view differs from the
+    /// server's because of the network. Silent participants have no active tool.
+    pub fn is_extrapolated(&self, s: ServerTime) -> bool {
+        let others = self.seats.values().filter(|seat| !seat.demoted);
+        let mut newest = others.filter_map(|seat| seat.seen.newest());
+        newest.any(|newest| (BRIDGED_MAX..SILENT).contains(&(s - newest)))
+    }
+
+    /// The tools of all participants but `me` at any time, for the haptic shape. Query in ascending order.
+    pub fn tools_felt_at(&mut self, s: ServerTime, me: ParticipantId) -> Vec<ToolAt> {
+        let at = |(who, seat): (&ParticipantId, &mut Seat)| {
+            let shown = seat.felt.at(s)?;
+            Some(ToolAt::shown(*who, seat.active_tool()?, &shown))
+        };
+        let others = self.seats.iter_mut().filter(|(who, _)| **who != me);
+        others.filter_map(at).collect()
+    }
+
+    /// The tool of a participant; `None` while demoted.
+    pub fn tool_of(&self, who: ParticipantId) -> Option<ToolDescription> {
+        self.seats.get(&who)?.active_tool()
+    }
+
+    /// Display name of a participant.
+    pub fn name_of(&self, who: ParticipantId) -> Option<&str> {
+        self.seats.get(&who).map(|s| s.name.as_str())
+    }
+
+    /// Number of participants.
+    pub fn count(&self) -> usize {
+        self.seats.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_protocol::tool::ToolKind;
+    use palpate_protocol::{Pose, Role};
+
+    use super::*;
+
+    fn entry(who: u16, kind: ToolKind) -> RosterEntry {
+        RosterEntry {
+            participant: ParticipantId(who),
+            name: format!("p{who}"),
+            role: Role::Trainee,
+            tool: Some(match kind {
+                ToolKind::Scalpel => ToolDescription::scalpel(0.004, 0.02),
+                _ => ToolDescription::probe(0.004),
+            }),
+        }
+    }
+
+    fn sample(us: i64, buttons: u8) -> ToolSample {
+        ToolSample {
+            time: ServerTime::from_micros(us),
+            pose: Pose::IDENTITY,
+            buttons,
+            force_n: None,
+        }
+    }
+
+    #[test]
+    fn cutting_blade_makes_no_contact() {
+        let mut roster = Roster::new(&[entry(1, ToolKind::Scalpel), entry(2, ToolKind::Probe)]);
+        for who in [1, 2] {
+            roster.insert(ParticipantId(who), sample(0, 1));
+            roster.insert(ParticipantId(who), sample(1000, 1));
+        }
+        let tools = roster.tools_seen_at(ServerTime::from_micros(500));
+        assert!(tools[0].is_cutting() && tools[0].contacts().next().is_none());
+        assert!(tools[1].contacts().next().is_some());
+    }
+
+    #[test]
+    fn demoted_tool_is_inactive_until_restored() {
+        let (me, at) = (ParticipantId(1), ServerTime::from_micros(500));
+        let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
+        for us in [0, 1000] {
+            roster.insert(me, sample(us, 0));
+        }
+        roster.set_demoted(me, true);
+        assert!(roster.tools_seen_at(at).is_empty() && roster.tool_of(me).is_none());
+        assert!(roster.tools_felt_at(at, ParticipantId(2)).is_empty());
+        roster.set_demoted(me, false);
+        assert_eq!(roster.tools_seen_at(at).len(), 1);
+    }
+
+    #[test]
+    fn silent_tool_makes_no_contact_and_left_participant_is_removed() {
+        let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
+        roster.insert(ParticipantId(1), sample(0, 0));
+        let late = roster.tools_seen_at(ServerTime::from_micros(300_000));
+        assert!(late[0].stale && late[0].contacts().next().is_none());
+        roster.insert(ParticipantId(1), sample(300_000, 0));
+        let now = ServerTime::from_micros(300_000);
+        assert!(!roster.tools_seen_at(now)[0].stale);
+        roster.lose(ParticipantId(1));
+        assert!(roster.tools_seen_at(now).is_empty());
+        roster.leave(ParticipantId(1));
+        roster.insert(ParticipantId(1), sample(310_000, 0));
+        assert!(
+            roster
+                .tools_seen_at(ServerTime::from_micros(310_000))
+                .is_empty()
+        );
+    }
+}

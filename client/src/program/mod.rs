@@ -1,0 +1,18 @@
+//! The program: command line, one run from the join link to the summary, and its output.
+
+pub mod cli;
+mod ending;
+mod error;
+mod join;
+mod options;
+mod output;
+mod status;
+mod summary;
+mod supervision;
+
+pub(crate) use ending::Ending;
+pub use error::ClientError;
+pub use join::run;
+pub use options::{JoinOptions, StartAt, StatusKind};
+pub(crate) use output::{complain, print};
+pub use summary::{EventCounts, SolveTimes, Summary};
