@@ -5,8 +5,11 @@ use std::sync::Arc;
 
 use palpate_tissue::sample::{Sample, SampleError};
 use palpate_tissue::{
-    BuildError, FileError, Model, ModelFile, SceneError, SceneInput, WriteError, build,
+    BuildError, FileError, Material, Model, ModelFile, SceneError, SceneInput, WriteError, block,
+    build,
 };
+
+use crate::progress::Progress;
 
 /// Failure to prepare a model.
 #[derive(Debug, thiserror::Error)]
@@ -45,6 +48,20 @@ pub struct TestModel {
     pub file: PathBuf,
 }
 
+/// A block of soft tissue on a pinned base.
+pub fn soft_block(cells: [usize; 3], spacing_m: f64) -> Model {
+    let soft = Material {
+        name: "soft".into(),
+        young_pa: 1e4,
+        density_kg_m3: 1000.0,
+        friction_static: 0.4,
+        friction_dynamic: 0.3,
+        source: "a block for experiments".into(),
+        ..Material::default()
+    };
+    block(cells, spacing_m, &soft, 1)
+}
+
 impl TestModel {
     /// The model `name`: a `.palp` file as it is; a `.toml` scene or a sample, built into `dir`.
     pub fn prepare(name: &str, dir: &Path) -> Result<Self, TestModelError> {
@@ -68,6 +85,15 @@ impl TestModel {
                 source,
             }),
         }
+    }
+
+    /// The model `name` alone, without its file.
+    pub(crate) fn in_memory(name: &str, progress: &mut Progress) -> Result<Arc<Model>, String> {
+        let dir = tempfile::tempdir()
+            .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
+        progress.stage(&format!("preparing the model \"{name}\""));
+        let built = Self::prepare(name, dir.path()).map_err(|e| e.to_string())?;
+        Ok(built.model)
     }
 
     fn build(input: &SceneInput, dir: &Path) -> Result<Self, TestModelError> {
