@@ -11,7 +11,7 @@ use clap::{Args, Parser, Subcommand};
 use crate::bench::Benchmark;
 use crate::bench::bytes::Bytes;
 use crate::bench::coding::Coding;
-use crate::bench::cuts::Cuts;
+use crate::bench::cuts::CutLoad;
 use crate::bench::haptic_tick::HapticTick;
 use crate::bench::press_cube::PressCube;
 use crate::bench::press_scene::PressScene;
@@ -142,7 +142,7 @@ enum Bench {
     /// Bandwidth of a session during press and cut: kbit/s per direction and part, including QUIC
     Bytes(Box<Measurement<Bytes>>),
     /// Load of a trainee's threads while other trainees cut beside the press
-    Cuts(Measurement<Cuts>),
+    Cuts(Measurement<CutLoad>),
     /// Compute the reference of a demo, and compare it with a finer one
     Reference(Measurement<ReferenceCost>),
     /// Time one tick of the force loop: read, compute, write

@@ -66,7 +66,7 @@ const SURGEON: ParticipantId = ParticipantId(2);
 
 /// Options of the bench.
 #[derive(Debug, Clone, Args)]
-pub struct Cuts {
+pub struct CutLoad {
     /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
     #[arg(default_value = "thigh")]
     model: String,
@@ -81,7 +81,7 @@ pub struct Cuts {
     depth_mm: f64,
 }
 
-impl Benchmark for Cuts {
+impl Benchmark for CutLoad {
     type Report = CutsReport;
 
     fn measure(&self, progress: &mut Progress) -> Result<CutsReport, String> {
@@ -170,7 +170,7 @@ struct Step {
     at: ServerTime,
 }
 
-impl Cuts {
+impl CutLoad {
     /// Runs the bench.
     ///
     /// # Errors

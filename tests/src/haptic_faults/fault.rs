@@ -269,7 +269,7 @@ impl fmt::Display for Fault {
             FaultKind::SolverStall => write!(f, "the solver stalls")?,
             FaultKind::LinkLost => write!(f, "the link is lost")?,
             FaultKind::BadModels { how, every: n } => {
-                write!(f, "bad models ({how:?}{})", every(n))?
+                write!(f, "bad models ({how:?}{})", every(n))?;
             }
             FaultKind::BadPoses { how, every: n } => write!(f, "bad poses ({how:?}{})", every(n))?,
             FaultKind::Unplugged { forgets: true } => write!(f, "unplugged, motors off when back")?,
