@@ -1,13 +1,15 @@
-//! Charts of courses over time, as SVG text.
+//! Line charts as SVG text.
 //!
 //! A chart is a stack of panels with a common x axis. Each panel has a title, a y axis with a unit, a legend
 //! above the plot, and labelled vertical marks. A line with more points than the plot has columns is drawn as
 //! its range per column.
 
-use std::fmt::Write as _;
+use maud::{Markup, html};
 
 /// Width of the image, px.
 const WIDTH: f64 = 960.0;
+/// Width of the plots, px.
+const PLOT_WIDTH: f64 = WIDTH - LEFT - RIGHT;
 /// Height of the plot of one panel, px.
 const PLOT_HEIGHT: f64 = 190.0;
 /// Room above a plot for its title and legend, px.
@@ -55,30 +57,25 @@ pub const BLACK: &str = "#000000";
 pub struct Line {
     /// Legend entry; empty if another line has it.
     pub name: String,
-    /// Its colour.
-    pub colour: &'static str,
-    /// Whether it is dashed.
-    pub dashed: bool,
     /// x and y, x not decreasing.
     pub points: Vec<(f64, f64)>,
+    colour: &'static str,
+    dashed: bool,
 }
 
 /// A plot.
 #[derive(Debug, Clone)]
 pub struct Panel {
-    /// Title.
-    pub title: String,
-    /// Quantity and unit of y.
-    pub y_label: String,
+    title: String,
+    y_label: String,
     /// The lines, later ones on top.
-    pub lines: Vec<Line>,
-    /// Scale of y.
-    pub scale: Scale,
+    lines: Vec<Line>,
+    scale: Scale,
 }
 
 /// Scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Scale {
+enum Scale {
     /// Linear, including zero.
     #[default]
     Linear,
@@ -86,7 +83,7 @@ pub enum Scale {
     Logarithmic,
 }
 
-/// A vertical mark.
+/// A vertical mark in every panel.
 #[derive(Debug, Clone)]
 pub struct Mark {
     /// Position on the x axis.
@@ -98,14 +95,10 @@ pub struct Mark {
 /// A stack of panels.
 #[derive(Debug, Clone)]
 pub struct Chart {
-    /// Title.
-    pub title: String,
-    /// Quantity and unit of x.
-    pub x_label: String,
-    /// The panels.
-    pub panels: Vec<Panel>,
-    /// Marks in every panel.
-    pub marks: Vec<Mark>,
+    title: String,
+    x_label: String,
+    panels: Vec<Panel>,
+    marks: Vec<Mark>,
 }
 
 /// Ticks of an axis.
@@ -205,37 +198,47 @@ impl Axis {
 }
 
 impl Chart {
+    /// Panels over a common x axis.
+    pub fn new(title: impl Into<String>, x_label: &str, panels: Vec<Panel>) -> Self {
+        Self {
+            title: title.into(),
+            x_label: x_label.to_owned(),
+            panels,
+            marks: Vec::new(),
+        }
+    }
+
+    /// The chart with these marks.
+    #[must_use]
+    pub fn with_marks(mut self, marks: Vec<Mark>) -> Self {
+        self.marks = marks;
+        self
+    }
+
     /// The chart as the text of an SVG file.
     pub fn to_svg(&self) -> String {
         let panels: f64 = self.panels.iter().map(Panel::height).sum();
         let height = TOP + panels + BOTTOM;
-        let mut svg = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" \
-             width=\"{WIDTH}\" height=\"{height}\" font-family=\"sans-serif\" font-size=\"12\">\n\
-             <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n"
-        );
-        text(&mut svg, WIDTH / 2.0, 22.0, "middle", 16, &self.title);
-        let xs = self
-            .panels
-            .iter()
-            .flat_map(|p| &p.lines)
-            .flat_map(|l| &l.points);
-        let (low, high) = range(xs.map(|p| p.0));
+        let lines = self.panels.iter().flat_map(|p| &p.lines);
+        let (low, high) = range(lines.flat_map(|l| &l.points).map(|p| p.0));
         let x = Axis::over(low, high, 10.0);
         let mut top = TOP;
-        for panel in &self.panels {
-            panel.draw(&mut svg, top, x, &self.marks);
+        let panels = self.panels.iter().map(|panel| {
+            let drawn = panel.draw(top, x, &self.marks);
             top += panel.height();
-        }
-        let middle = LEFT + plot_width() / 2.0;
-        text(&mut svg, middle, height - 10.0, "middle", 13, &self.x_label);
-        svg.push_str("</svg>\n");
-        svg
+            drawn
+        });
+        let drawn = html! {
+            svg xmlns="http://www.w3.org/2000/svg" viewBox=(format_args!("0 0 {WIDTH} {height}"))
+                width=(WIDTH) height=(height) font-family="sans-serif" font-size="12" {
+                rect width="100%" height="100%" fill="white" {}
+                (text(WIDTH / 2.0, 22.0, "middle", 16, &self.title))
+                @for panel in panels { (panel) "\n" }
+                (text(LEFT + PLOT_WIDTH / 2.0, height - 10.0, "middle", 13, &self.x_label))
+            }
+        };
+        drawn.into_string() + "\n"
     }
-}
-
-fn plot_width() -> f64 {
-    WIDTH - LEFT - RIGHT
 }
 
 /// Minimum and maximum; 0 and 1 without values.
@@ -249,24 +252,42 @@ fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
 }
 
 impl Panel {
-    fn draw(&self, svg: &mut String, top: f64, x: Axis, marks: &[Mark]) {
+    /// A linear plot; `y_label` is the quantity and unit of y.
+    pub fn new(
+        title: impl Into<String>,
+        y_label: &str,
+        lines: impl IntoIterator<Item = Line>,
+    ) -> Self {
+        Self {
+            title: title.into(),
+            y_label: y_label.to_owned(),
+            lines: lines.into_iter().collect(),
+            scale: Scale::Linear,
+        }
+    }
+
+    /// The plot with a logarithmic scale, for values over several decades.
+    #[must_use]
+    pub fn logarithmic(mut self) -> Self {
+        self.scale = Scale::Logarithmic;
+        self
+    }
+
+    fn draw(&self, top: f64, x: Axis, marks: &[Mark]) -> Markup {
         let plot = top + self.head();
         let heights = self.lines.iter().flat_map(|l| &l.points).map(|p| p.1);
         let y = Axis::of_heights(heights, self.scale);
-        text(svg, LEFT, top + 16.0, "start", 13, &self.title);
-        self.legend(svg, top + 36.0);
-        grid(svg, plot, x, y);
         let centre = plot + PLOT_HEIGHT / 2.0;
-        let _ = writeln!(
-            svg,
-            "<text x=\"18\" y=\"{centre}\" text-anchor=\"middle\" \
-             transform=\"rotate(-90 18 {centre})\">{}</text>",
-            escape(&self.y_label)
-        );
-        for line in &self.lines {
-            line.draw(svg, plot, x, y);
+        html! {
+            (text(LEFT, top + 16.0, "start", 13, &self.title))
+            (self.legend(top + 36.0))
+            (grid(plot, x, y))
+            text x="18" y=(centre) text-anchor="middle" transform=(format_args!("rotate(-90 18 {centre})")) {
+                (self.y_label)
+            }
+            @for line in &self.lines { (line.draw(plot, x, y)) }
+            (draw_marks(plot, x, marks))
         }
-        draw_marks(svg, plot, x, marks);
     }
 
     /// Height above the plot, px.
@@ -294,57 +315,69 @@ impl Panel {
         entries
     }
 
-    fn legend(&self, svg: &mut String, first: f64) {
-        for (row, at, line) in self.entries() {
-            let y = first + LEGEND_ROW * row as f64;
-            let dash = dash(line.dashed);
-            let (colour, end, middle) = (line.colour, at + 22.0, y - 4.0);
-            let _ = writeln!(
-                svg,
-                "<line x1=\"{at}\" y1=\"{middle}\" x2=\"{end}\" y2=\"{middle}\" \
-                 stroke=\"{colour}\" stroke-width=\"2\"{dash}/>"
-            );
-            text(svg, at + 28.0, y, "start", 12, &line.name);
+    fn legend(&self, first: f64) -> Markup {
+        html! {
+            @for (row, at, line) in self.entries() {
+                @let y = first + LEGEND_ROW * row as f64;
+                line x1=(at) y1=(y - 4.0) x2=(at + 22.0) y2=(y - 4.0)
+                    stroke=(line.colour) stroke-width="2" stroke-dasharray=[line.dashes()] {}
+                (text(at + 28.0, y, "start", 12, &line.name))
+            }
         }
     }
 }
 
 impl Line {
+    /// A solid line through points with x not decreasing.
+    pub fn new(
+        name: impl Into<String>,
+        colour: &'static str,
+        points: impl IntoIterator<Item = (f64, f64)>,
+    ) -> Self {
+        Self {
+            name: name.into(),
+            points: points.into_iter().collect(),
+            colour,
+            dashed: false,
+        }
+    }
+
+    /// The line dashed if `dashed`.
+    #[must_use]
+    pub fn dashed(mut self, dashed: bool) -> Self {
+        self.dashed = dashed;
+        self
+    }
+
+    /// Whether it is dashed.
+    pub fn is_dashed(&self) -> bool {
+        self.dashed
+    }
+
+    fn dashes(&self) -> Option<&'static str> {
+        self.dashed.then_some("6 4")
+    }
+
     /// Whether the legend lists it: it has a name and a visible point.
     fn is_named(&self) -> bool {
         !self.name.is_empty() && !self.points.is_empty()
     }
 
-    fn draw(&self, svg: &mut String, plot: f64, x: Axis, y: Axis) {
-        let mut path = String::new();
-        for (px, py) in thinned(&self.points, x) {
-            if !y.share(py).is_finite() {
-                continue;
+    fn draw(&self, plot: f64, x: Axis, y: Axis) -> Markup {
+        let points: Vec<String> = (thinned(&self.points, x).into_iter())
+            .map(|(px, py)| (x.share(px), y.share(py)))
+            .filter(|(_, up)| up.is_finite())
+            .map(|(along, up)| {
+                let (px, py) = (LEFT + along * PLOT_WIDTH, plot + (1.0 - up) * PLOT_HEIGHT);
+                format!("{px:.1} {py:.1}")
+            })
+            .collect();
+        html! {
+            @if !points.is_empty() {
+                path d=(format_args!("M{}", points.join("L"))) fill="none" stroke=(self.colour) stroke-width="1.4"
+                    stroke-linejoin="round" stroke-dasharray=[self.dashes()] {}
             }
-            let letter = if path.is_empty() { 'M' } else { 'L' };
-            let (px, py) = (
-                LEFT + x.share(px) * plot_width(),
-                plot + (1.0 - y.share(py)) * PLOT_HEIGHT,
-            );
-            let _ = write!(path, "{letter}{px:.1} {py:.1}");
         }
-        if !path.is_empty() {
-            let _ = writeln!(
-                svg,
-                "<path d=\"{path}\" fill=\"none\" stroke=\"{}\" stroke-width=\"1.4\" \
-                 stroke-linejoin=\"round\"{}/>",
-                self.colour,
-                dash(self.dashed)
-            );
-        }
-    }
-}
-
-fn dash(dashed: bool) -> &'static str {
-    if dashed {
-        " stroke-dasharray=\"6 4\""
-    } else {
-        ""
     }
 }
 
@@ -372,84 +405,55 @@ fn thinned(points: &[(f64, f64)], x: Axis) -> Vec<(f64, f64)> {
     out
 }
 
-fn grid(svg: &mut String, plot: f64, x: Axis, y: Axis) {
-    let (right, bottom) = (LEFT + plot_width(), plot + PLOT_HEIGHT);
-    for v in x.ticks() {
-        let at = LEFT + x.share(v) * plot_width();
-        let _ = writeln!(
-            svg,
-            "<line x1=\"{at:.1}\" y1=\"{plot}\" x2=\"{at:.1}\" y2=\"{bottom}\" stroke=\"#e6e6e6\"/>"
-        );
-        text(svg, at, bottom + 16.0, "middle", 12, &x.number(v));
+fn grid(plot: f64, x: Axis, y: Axis) -> Markup {
+    let (right, bottom) = (LEFT + PLOT_WIDTH, plot + PLOT_HEIGHT);
+    html! {
+        @for v in x.ticks() {
+            @let at = LEFT + x.share(v) * PLOT_WIDTH;
+            line x1=(px(at)) y1=(plot) x2=(px(at)) y2=(bottom) stroke="#e6e6e6" {}
+            (text(at, bottom + 16.0, "middle", 12, &x.number(v)))
+        }
+        @for v in y.ticks() {
+            @let at = plot + (1.0 - y.share(v)) * PLOT_HEIGHT;
+            line x1=(LEFT) y1=(px(at)) x2=(right) y2=(px(at)) stroke="#e6e6e6" {}
+            (text(LEFT - 8.0, at + 4.0, "end", 12, &y.number(v)))
+        }
+        rect x=(LEFT) y=(plot) width=(PLOT_WIDTH) height=(PLOT_HEIGHT) fill="none" stroke="#404040" {}
     }
-    for v in y.ticks() {
-        let at = plot + (1.0 - y.share(v)) * PLOT_HEIGHT;
-        let _ = writeln!(
-            svg,
-            "<line x1=\"{LEFT}\" y1=\"{at:.1}\" x2=\"{right}\" y2=\"{at:.1}\" stroke=\"#e6e6e6\"/>"
-        );
-        text(svg, LEFT - 8.0, at + 4.0, "end", 12, &y.number(v));
-    }
-    let _ = writeln!(
-        svg,
-        "<rect x=\"{LEFT}\" y=\"{plot}\" width=\"{}\" height=\"{PLOT_HEIGHT}\" fill=\"none\" \
-         stroke=\"#404040\"/>",
-        plot_width()
-    );
 }
 
 /// Draws marks, with labels in as many rows as needed to avoid overlap.
-fn draw_marks(svg: &mut String, plot: f64, x: Axis, marks: &[Mark]) {
-    let mut rows: Vec<f64> = Vec::new();
+fn draw_marks(plot: f64, x: Axis, marks: &[Mark]) -> Markup {
+    let mut row_ends: Vec<f64> = Vec::new();
+    let mut drawn = Vec::new();
     for mark in marks.iter().filter(|m| (0.0..=1.0).contains(&x.share(m.x))) {
-        let at = LEFT + x.share(mark.x) * plot_width();
-        let _ = writeln!(
-            svg,
-            "<line x1=\"{at:.1}\" y1=\"{plot}\" x2=\"{at:.1}\" y2=\"{}\" stroke=\"#404040\" \
-             stroke-dasharray=\"2 3\"/>",
-            plot + PLOT_HEIGHT
-        );
+        let at = LEFT + x.share(mark.x) * PLOT_WIDTH;
         let length = CHARACTER * mark.label.chars().count() as f64;
-        let fits = at + 4.0 + length < LEFT + plot_width();
+        let fits = at + 4.0 + length < LEFT + PLOT_WIDTH;
         let (start, anchor, from) = if fits {
             (at + 4.0, "start", at)
         } else {
             (at - 4.0, "end", at - 8.0 - length)
         };
-        let row = rows
-            .iter()
-            .position(|end| *end < from)
-            .unwrap_or(rows.len());
-        if row == rows.len() {
-            rows.push(0.0);
-        }
-        rows[row] = from + length + 10.0;
-        text(
-            svg,
-            start,
-            plot + 13.0 + 13.0 * row as f64,
-            anchor,
-            11,
-            &mark.label,
-        );
+        let free = row_ends.iter().position(|end| *end < from);
+        let row = free.unwrap_or(row_ends.len());
+        row_ends.resize(row_ends.len().max(row + 1), 0.0);
+        row_ends[row] = from + length + 10.0;
+        let y = plot + 13.0 + 13.0 * row as f64;
+        drawn.push(html! {
+            line x1=(px(at)) y1=(plot) x2=(px(at)) y2=(plot + PLOT_HEIGHT) stroke="#404040" stroke-dasharray="2 3" {}
+            (text(start, y, anchor, 11, &mark.label))
+        });
     }
+    html! { @for mark in drawn { (mark) } }
 }
 
-fn text(svg: &mut String, x: f64, y: f64, anchor: &str, size: u32, words: &str) {
-    let words = escape(words);
-    let _ = writeln!(
-        svg,
-        "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" font-size=\"{size}\">{words}</text>"
-    );
+fn text(x: f64, y: f64, anchor: &str, size: u32, words: &str) -> Markup {
+    html! { text x=(px(x)) y=(px(y)) text-anchor=(anchor) font-size=(size) { (words) } }
 }
 
-/// Escapes text for XML.
-pub fn escape(words: &str) -> String {
-    words
-        .replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
+fn px(length: f64) -> String {
+    format!("{length:.1}")
 }
 
 #[cfg(test)]
@@ -481,29 +485,16 @@ mod tests {
     }
 
     fn line(name: &str, points: Vec<(f64, f64)>) -> Line {
-        Line {
-            name: name.into(),
-            colour: BLUE,
-            dashed: true,
-            points,
-        }
+        Line::new(name, BLUE, points).dashed(true)
     }
 
     fn chart(lines: Vec<Line>, scale: Scale) -> Chart {
-        Chart {
-            title: "t".into(),
-            x_label: "x".into(),
-            panels: vec![Panel {
-                title: "p".into(),
-                y_label: "y".into(),
-                lines,
-                scale,
-            }],
-            marks: vec![Mark {
-                x: 0.5,
-                label: "m".into(),
-            }],
-        }
+        let panel = Panel {
+            scale,
+            ..Panel::new("p", "y", lines)
+        };
+        let label = "m".into();
+        Chart::new("t", "x", vec![panel]).with_marks(vec![Mark { x: 0.5, label }])
     }
 
     #[test]

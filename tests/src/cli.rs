@@ -8,28 +8,27 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
-use crate::bench::ablate as bench_ablate;
-use crate::bench::bytes as bench_bytes;
+use crate::bench::Benchmark;
+use crate::bench::ablate::Ablate;
+use crate::bench::bytes::Bytes;
 use crate::bench::coding::Coding;
-use crate::bench::cuts as bench_cuts;
+use crate::bench::cuts::CutLoad;
 use crate::bench::haptic_tick::HapticTick;
-use crate::bench::on_threads;
 use crate::bench::press_cube::PressCube;
-use crate::bench::press_scene::{Comparison, PressScene};
-use crate::bench::reference as bench_reference;
+use crate::bench::press_scene::PressScene;
+use crate::bench::reference::ReferenceCost;
 use crate::demo;
-use crate::experiments::{command, tour};
+use crate::experiments::{command, run_all};
 use crate::hand;
-use crate::haptic_faults::course::Setup;
 use crate::haptic_faults::fault::Class;
 use crate::haptic_faults::outcome::Outcome;
-use crate::haptic_faults::{self, Trial, picture};
+use crate::haptic_faults::run::Setup;
+use crate::haptic_faults::{self, SeedResult, run_plot};
 use crate::network;
 use crate::program::die_with_parent;
 use crate::progress::{Interrupt, Progress};
 use crate::relay;
 use crate::stress;
-use crate::test_model::TestModel;
 
 /// The named networks, for `--help`.
 macro_rules! networks {
@@ -131,13 +130,13 @@ enum Command {
     List,
     /// Run every experiment and write one page of it, readable offline
     #[command(after_help = command::RUN_HELP)]
-    All(tour::AllArguments),
+    All(run_all::AllArguments),
     /// Inject faults into the haptic chain, and check that no fault jerks the hand
     #[command(after_help = FAULTS)]
     HapticFaults(HapticFaultsArguments),
     /// Switch off one mechanism of the solver at a time: force error and time of a press, slide and withdrawal
     #[command(after_help = ABLATE)]
-    Ablate(bench_ablate::Arguments),
+    Ablate(Measurement<Ablate>),
     /// Measure the equilibrium against its own converged solution
     #[command(subcommand, after_help = BENCHES)]
     Bench(Bench),
@@ -146,90 +145,38 @@ enum Command {
 #[derive(Debug, Subcommand)]
 enum Bench {
     /// A cube of side 0.1 m pressed by a disc: the time from rest to 1 % and to convergence
-    PressCube(PressCubeArguments),
+    PressCube(Measurement<PressCube>),
     /// A sphere of 8 mm pressed into a model at the speed of a hand: force error and time per tick
-    PressScene(PressSceneArguments),
+    PressScene(Measurement<PressScene>),
     /// Bits per pose and per node on the wire: this codec, deflate, raw
-    Coding {
-        /// Round trip after which both ends know the sent data, in ms
-        #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(i64).range(0..=400))]
-        round_trip_ms: i64,
-        /// Seed of the hand
-        #[arg(long, default_value_t = 1)]
-        seed: u64,
-        /// Print one JSON object
-        #[arg(long)]
-        json: bool,
-    },
+    Coding(Measurement<Coding>),
     /// Bandwidth of a session during press and cut: kbit/s per direction and part, including QUIC
-    Bytes(Box<bench_bytes::Arguments>),
+    Bytes(Box<Measurement<Bytes>>),
     /// Load of a trainee's threads while other trainees cut beside the press
-    Cuts(bench_cuts::Arguments),
+    Cuts(Measurement<CutLoad>),
     /// Compute the reference of a demo, and compare it with a finer one
-    Reference(bench_reference::Arguments),
+    Reference(Measurement<ReferenceCost>),
     /// Time one tick of the force loop: read, compute, write
-    HapticTick {
-        /// Ticks of each device
-        #[arg(long, default_value_t = 200_000, value_parser = clap::value_parser!(u32).range(1000..=100_000_000))]
-        ticks: u32,
-        /// Print one JSON object
-        #[arg(long)]
-        json: bool,
-    },
+    HapticTick(Measurement<HapticTick>),
 }
 
+/// A benchmark and the form of its report.
 #[derive(Debug, Args)]
-struct PressCubeArguments {
-    /// Nodes per edge: 20 makes 8,000 nodes, 40 64,000, 100 a million
-    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u16).range(4..=160))]
-    nodes: u16,
-    /// Threads
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
-    threads: u16,
-    /// Poisson's ratio, 0.25 to 0.49; 0.25 is springs alone
-    #[arg(long, default_value_t = 0.25)]
-    poisson: f64,
-    /// Also press in ten steps of 0.1 mm
-    #[arg(long)]
-    moving: bool,
+struct Measurement<B: Args> {
+    #[command(flatten)]
+    benchmark: B,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
 }
 
-#[derive(Debug, Args)]
-struct PressSceneArguments {
-    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
-    #[arg(default_value = "thigh")]
-    model: String,
-    /// Depth, mm
-    #[arg(long, default_value_t = 15.0)]
-    depth_mm: f64,
-    /// Speed, mm/s
-    #[arg(long, default_value_t = 100.0)]
-    speed_mm_s: f64,
-    /// Time budget of a tick until its last iteration begins, ms
-    #[arg(long, default_value_t = 1.0)]
-    budget_ms: f64,
-    /// Tolerance of the converged solutions: 1e-3 leaves 0.2 % of the force, and takes minutes on half a
-    /// million nodes
-    #[arg(long, default_value_t = 1e-5)]
-    converged: f64,
-    /// Number of presses, each from rest
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
-    repeats: u16,
-    /// A second model, pressed alternately with the first; reports the ratio of their tick times
-    #[arg(long, value_name = "MODEL")]
-    against: Option<String>,
-    /// Cut through the tissue first, and press beside the wound
-    #[arg(long)]
-    wound: bool,
-    /// Threads
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
-    threads: u16,
-    /// Print one JSON object
-    #[arg(long)]
-    json: bool,
+impl<B: Benchmark> Measurement<B> {
+    fn run(&self) -> Result<ExitCode, String> {
+        let mut progress = Progress::new();
+        let report = self.benchmark.measure(&mut progress)?;
+        drop(progress);
+        print_report(&report, self.json)
+    }
 }
 
 #[derive(Debug, Args)]
@@ -284,37 +231,18 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Hand(arguments) => hand::command::run(&arguments),
         Command::Run(arguments) => command::run(&arguments),
         Command::List => command::list(),
-        Command::All(arguments) => tour::all(&arguments),
+        Command::All(arguments) => run_all::all(&arguments),
         Command::HapticFaults(arguments) => run_haptic_faults(&arguments),
-        Command::Ablate(arguments) => {
-            bench_ablate::run(&arguments).and_then(|all| give(&all, arguments.json))
-        }
-        Command::Bench(Bench::PressCube(arguments)) => run_press_cube(&arguments),
-        Command::Bench(Bench::PressScene(arguments)) => run_press_scene(&arguments),
-        Command::Bench(Bench::Coding {
-            round_trip_ms,
-            seed,
-            json,
-        }) => (Coding {
-            round_trip_ms,
-            seed,
-        })
-        .run()
-        .and_then(|report| give(&report, json)),
-        Command::Bench(Bench::Bytes(arguments)) => {
-            bench_bytes::run(&arguments).and_then(|report| give(&report, arguments.json))
-        }
-        Command::Bench(Bench::Cuts(arguments)) => {
-            bench_cuts::run(&arguments).and_then(|report| give(&report, arguments.json))
-        }
-        Command::Bench(Bench::Reference(arguments)) => {
-            bench_reference::run(&arguments).and_then(|report| give(&report, arguments.json))
-        }
-        Command::Bench(Bench::HapticTick { ticks, json }) => (HapticTick {
-            ticks: ticks as usize,
-        })
-        .run()
-        .and_then(|report| give(&report, json)),
+        Command::Ablate(measurement) => measurement.run(),
+        Command::Bench(bench) => match bench {
+            Bench::PressCube(measurement) => measurement.run(),
+            Bench::PressScene(measurement) => measurement.run(),
+            Bench::Coding(measurement) => measurement.run(),
+            Bench::Bytes(measurement) => measurement.run(),
+            Bench::Cuts(measurement) => measurement.run(),
+            Bench::Reference(measurement) => measurement.run(),
+            Bench::HapticTick(measurement) => measurement.run(),
+        },
     };
     done.unwrap_or_else(|sentence| {
         note(&format!("palpate-lab: {sentence}"));
@@ -329,7 +257,7 @@ fn role_line(name: &str, args: &[OsString]) -> Vec<OsString> {
 }
 
 /// Writes a line to standard output. A closed pipe is not an error: the remaining work is still done.
-pub(crate) fn say(line: &str) -> Result<(), String> {
+pub(crate) fn print_line(line: &str) -> Result<(), String> {
     let mut out = std::io::stdout().lock();
     match writeln!(out, "{line}").and_then(|()| out.flush()) {
         Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
@@ -353,7 +281,7 @@ fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, Stri
         Some(seed) => (seed..seed.saturating_add(1), 1),
         None => (0..arguments.seeds, arguments.seeds),
     };
-    let mut told = |seed: u64, outcome: &Outcome| {
+    let mut report_progress = |seed: u64, outcome: &Outcome| {
         if seed.is_multiple_of(16) {
             let (runs, failed) = (outcome.runs, outcome.failed());
             progress.tick(&format!("{runs} of {of} runs, {failed} broke a law"));
@@ -361,16 +289,17 @@ fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, Stri
         !interrupt.is_set()
     };
     let setup = Setup::default();
-    let outcome = haptic_faults::all(seeds, &setup, &mut told).map_err(|e| e.to_string())?;
+    let outcome =
+        haptic_faults::all(seeds, &setup, &mut report_progress).map_err(|e| e.to_string())?;
     drop(progress);
     if outcome.runs < of {
         return Err(format!("interrupted after {} of {of} runs", outcome.runs));
     }
-    give(&outcome, arguments.json)?;
+    print_report(&outcome, arguments.json)?;
     if let Some(seed) = arguments.seed
         && !arguments.json
     {
-        tell_of(seed)?;
+        print_details(seed)?;
     }
     if let Some(dir) = &arguments.output {
         let classes = Class::ALL.len() as u64;
@@ -378,8 +307,8 @@ fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, Stri
             .seed
             .map_or(0..classes.min(of), |seed| seed..seed.saturating_add(1));
         for seed in shown {
-            let trial = kept(seed)?;
-            let name = picture::write(&trial, dir)
+            let result = kept(seed)?;
+            let name = run_plot::write(&result, dir)
                 .map_err(|e| format!("{} can not be written: {e}", dir.display()))?;
             note(&dir.join(name).display().to_string());
         }
@@ -392,23 +321,23 @@ fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, Stri
 }
 
 /// The runs of a seed with every tick recorded.
-fn kept(seed: u64) -> Result<Trial, String> {
+fn kept(seed: u64) -> Result<SeedResult, String> {
     let setup = Setup {
         keep: true,
         ..Setup::default()
     };
-    Trial::of(seed, &setup).map_err(|e| e.to_string())
+    SeedResult::of(seed, &setup).map_err(|e| e.to_string())
 }
 
 /// Prints all details of one seed.
-fn tell_of(seed: u64) -> Result<(), String> {
-    let trial = kept(seed)?;
-    let (plan, tissue) = (&trial.plan, &trial.plan.tissue);
+fn print_details(seed: u64) -> Result<(), String> {
+    let result = kept(seed)?;
+    let (plan, tissue) = (&result.plan, &result.plan.tissue);
     for fault in &plan.faults {
         let at_ms = fault.from_us as f64 * 1e-3;
-        say(&format!("{at_ms:9.1} ms  {fault}"))?;
+        print_line(&format!("{at_ms:9.1} ms  {fault}"))?;
     }
-    say(&format!(
+    print_line(&format!(
         "tissue of {:.0} N/m, {:.2} N·s/m, friction {:.2} and {:.2}; device of {:.1} N, {:?}",
         tissue.stiffness,
         tissue.damping,
@@ -417,87 +346,21 @@ fn tell_of(seed: u64) -> Result<(), String> {
         plan.caps.continuous_force_n,
         plan.driver
     ))?;
-    say(&format!(
+    print_line(&format!(
         "afterwards at most {:.2} N, without the fault {:.2} N; {:?}",
-        trial.run.force_after_n, trial.without.force_after_n, trial.run.counters
+        result.faulty.force_after_n, result.fault_free.force_after_n, result.faulty.counters
     ))
 }
 
-fn run_press_cube(arguments: &PressCubeArguments) -> Result<ExitCode, String> {
-    if !(0.25..=0.49).contains(&arguments.poisson) {
-        return Err(format!(
-            "--poisson {} must be between 0.25 (springs alone) and 0.49",
-            arguments.poisson
-        ));
-    }
-    let bench = PressCube {
-        nodes: usize::from(arguments.nodes),
-        poisson: arguments.poisson,
-        moving: arguments.moving,
-    };
-    let report = on_threads(usize::from(arguments.threads), || {
-        let mut progress = Progress::new();
-        bench.run(&mut |what| progress.stage(what))
-    })?;
-    give(&report, arguments.json)
-}
-
-fn run_press_scene(arguments: &PressSceneArguments) -> Result<ExitCode, String> {
-    for (name, value) in [
-        ("--depth-mm", arguments.depth_mm),
-        ("--speed-mm-s", arguments.speed_mm_s),
-        ("--budget-ms", arguments.budget_ms),
-    ] {
-        if !(value > 0.0 && value <= 1e4) {
-            return Err(format!("{name} {value} must be above 0 and at most 10000"));
-        }
-    }
-    let converged = arguments.converged;
-    if !(1e-8..=1e-2).contains(&converged) {
-        return Err(format!("--converged {converged} must be from 1e-8 to 0.01"));
-    }
-    let dir = tempfile::tempdir().map_err(|e| format!("no temporary folder: {e}"))?;
-    let mut progress = Progress::new();
-    progress.stage("reading the model");
-    let mut models = Vec::new();
-    for (k, name) in std::iter::once(&arguments.model)
-        .chain(&arguments.against)
-        .enumerate()
-    {
-        let place = dir.path().join(k.to_string());
-        std::fs::create_dir(&place).map_err(|e| format!("no temporary folder: {e}"))?;
-        let subject = TestModel::prepare(name, &place).map_err(|e| e.to_string())?;
-        models.push(subject.model);
-    }
-    let bench = PressScene {
-        depth_m: arguments.depth_mm * 1e-3,
-        speed_m_s: arguments.speed_mm_s * 1e-3,
-        budget_ms: arguments.budget_ms,
-        converged: arguments.converged,
-        wound: arguments.wound,
-        repeats: usize::from(arguments.repeats),
-        ..PressScene::default()
-    };
-    let mut reports = on_threads(usize::from(arguments.threads), move || {
-        bench.run(models, &mut |what| progress.tick(what))
-    })??
-    .into_iter();
-    match (reports.next(), reports.next()) {
-        (Some(report), Some(against)) => give(&Comparison::of(report, against), arguments.json),
-        (Some(report), None) => give(&report, arguments.json),
-        _ => Err("no model to press".to_owned()),
-    }
-}
-
 /// Prints a report as text or as one JSON object.
-fn give(
+fn print_report(
     report: &(impl serde::Serialize + std::fmt::Display),
     json: bool,
 ) -> Result<ExitCode, String> {
     if json {
-        say(&serde_json::to_string(report).expect("a report is plain data"))?;
+        print_line(&serde_json::to_string(report).expect("a report is plain data"))?;
     } else {
-        say(&report.to_string())?;
+        print_line(&report.to_string())?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -6,31 +6,29 @@ pub(crate) mod command;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use maud::{DOCTYPE, PreEscaped, html};
 use palpate_client::Recording;
-use palpate_device::{Script, ScriptError};
+use palpate_device::Script;
 use palpate_protocol::operation::CutStroke;
 use palpate_server::host::HostSummary;
-use palpate_tissue::{Solver, Topology, write_file};
+use palpate_tissue::write_file;
 
 use crate::chart::Mark;
 use crate::cpu::cpu_of;
 use crate::criteria::{self, Expected};
 use crate::delay_figures::{self, DelayFigures};
-use crate::disagreement::{CoursePoint, Disagreement};
+use crate::disagreement::{Disagreement, DisagreementPoint};
 use crate::dropout::{Dropouts, longest_gap_ms};
 use crate::force_error::{ForceError, over_script};
-use crate::plots::{self, Felt};
+use crate::plots::{self, TraineeForces};
 use crate::progress::{Interrupt, Progress};
 use crate::reference::{self, Reference};
 use crate::relay::{Profile, RelayStats};
-use crate::report::{
-    CutReport, NetworkReport, ParticipantReport, ReferenceReport, Report, ServerReport,
-};
-use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
-use crate::session::{Hosting, Left, Participant, Session, SessionError};
+use crate::report::{CutReport, ParticipantReport, ReferenceReport, Report, ServerReport};
+use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts, ScriptsError};
+use crate::session::{Hosting, Participant, ParticipantResult, Session, SessionError};
 use crate::stress::Stress;
 use crate::test_model::{TestModel, TestModelError};
-use crate::tool_location::{ToolLocation, ToolLocationError};
 
 /// Time from the last join to the start of the scripts, as in the room.
 const START_LEAD: Duration = Duration::from_secs(1);
@@ -76,12 +74,9 @@ pub enum DemoError {
     /// The model.
     #[error("{0}")]
     TestModel(Box<TestModelError>),
-    /// No location for tools.
-    #[error(transparent)]
-    ToolLocation(#[from] ToolLocationError),
     /// The scripts.
-    #[error("the generated scripts are invalid: {0}")]
-    Script(#[from] ScriptError),
+    #[error(transparent)]
+    Scripts(#[from] ScriptsError),
     /// The session.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -105,7 +100,7 @@ impl From<TestModelError> for DemoError {
 struct Run {
     host: HostSummary,
     network: RelayStats,
-    left: Vec<Left>,
+    results: Vec<ParticipantResult>,
     problems: Vec<String>,
 }
 
@@ -125,20 +120,21 @@ pub fn run(
     let dir = options.report.as_deref().unwrap_or(scratch.path());
     std::fs::create_dir_all(dir).map_err(|source| file_error(dir, source))?;
     progress.stage(&format!("preparing the model {}", options.model));
-    let subject = TestModel::prepare(&options.model, dir)?;
-    let scripts = make_scripts(&subject, options.seconds)?;
+    let test_model = TestModel::prepare(&options.model, dir)?;
+    let scripts = Scripts::for_model(&test_model.model, options.seconds)?;
     let files = [&scripts.holder, &scripts.cutter].map(Script::to_toml);
     for (name, text) in NAMES.iter().zip(&files) {
         write(&script_file(dir, name), text)?;
     }
     // Both sides use the rounded numbers of the file.
-    let scripts = [Script::from_toml(&files[0])?, Script::from_toml(&files[1])?];
-    let run = session(options, dir, &subject, progress, interrupt)?;
+    let read = |text| Script::from_toml(text).map_err(ScriptsError::from);
+    let scripts = [read(&files[0])?, read(&files[1])?];
+    let run = session(options, dir, &test_model, progress, interrupt)?;
     progress.stage("computing the reference: the same hands without a network");
     let began = Instant::now();
     let cuts = strokes_cut(&run);
     let both = [&scripts[0], &scripts[1]];
-    let reference = reference::run(&subject.model, both, &cuts, |share| {
+    let reference = reference::run(&test_model.model, both, &cuts, |share| {
         progress.tick(&format!("{:.0} %", share * 100.0));
         !interrupt.is_set()
     });
@@ -149,7 +145,7 @@ pub fn run(
     progress.stage("comparing the recordings");
     let strokes = scripts.iter().map(strokes).sum();
     let reference = reference.map(|r| (r, took_s));
-    let (report, pictures) = conclude(options, &subject, run, reference, strokes);
+    let (report, pictures) = conclude(options, &test_model, run, reference, strokes);
     if let Some(dir) = &options.report {
         pictures.write(dir, &report)?;
     }
@@ -159,7 +155,7 @@ pub fn run(
 /// The strokes that the session cut. All logs are equal, except that a participant who leaves early has fewer
 /// entries.
 fn strokes_cut(run: &Run) -> Vec<CutStroke> {
-    let logs = run.left.iter().map(|l| &l.recording.operations);
+    let logs = run.results.iter().map(|l| &l.recording.operations);
     let longest = logs.max_by_key(|log| log.len());
     let strokes = longest.into_iter().flatten().map(|o| o.stroke.clone());
     strokes.flatten().collect()
@@ -180,15 +176,6 @@ fn script_file(dir: &Path, name: &str) -> PathBuf {
     dir.join(format!("{name}.toml"))
 }
 
-fn make_scripts(subject: &TestModel, seconds: f64) -> Result<Scripts, DemoError> {
-    let topology = Topology::new(subject.model.clone());
-    let mut place = ToolLocation::find(&topology)?;
-    if subject.model.gravity != [0.0; 3] {
-        place.sag(&topology, &Solver::new(&topology));
-    }
-    Ok(Scripts::for_place(&place, seconds)?)
-}
-
 /// Number of strokes in a script: intervals with the button pressed.
 fn strokes(script: &Script) -> u64 {
     let mut was_held = false;
@@ -204,18 +191,18 @@ fn strokes(script: &Script) -> u64 {
 fn session(
     options: &DemoOptions,
     dir: &Path,
-    subject: &TestModel,
+    test_model: &TestModel,
     progress: &mut Progress,
     interrupt: &Interrupt,
 ) -> Result<Run, DemoError> {
     progress.stage(&format!(
         "a server with {} nodes, two trainees, network {}",
-        subject.model.nodes.len(),
+        test_model.model.nodes.len(),
         options.profile.name
     ));
     let mut session = Session::start(&Hosting {
         executable: &options.executable,
-        model: &subject.file,
+        model: &test_model.file,
         profile: options.profile.clone(),
         seed: options.seed,
         compensation: &options.compensation,
@@ -223,14 +210,14 @@ fn session(
     })?;
     let mut stress =
         Stress::start(&options.executable, options.stress).map_err(SessionError::from)?;
-    let mut people = Vec::new();
+    let mut participants = Vec::new();
     for name in NAMES {
         let script = script_file(dir, name);
-        people.push(session.join(name, "trainee", Some(&script), dir)?);
+        participants.push(session.join(name, "trainee", Some(&script), dir)?);
     }
-    for participant in &mut people {
-        let came_in = participant.wait_until_in(&|| interrupt.is_set());
-        came_in.inspect_err(|_| {
+    for participant in &mut participants {
+        let joined = participant.wait_until_in(&|| interrupt.is_set());
+        joined.inspect_err(|_| {
             let said = session.server.tail();
             if !said.is_empty() {
                 progress.stage(&format!("server log:\n{said}"));
@@ -249,24 +236,24 @@ fn session(
     let late = START_LEAD + Duration::from_secs_f64(options.seconds * options.late_join);
     let end = START_LEAD + Duration::from_secs_f64(options.seconds) + SETTLE;
     let mut problems = Vec::new();
-    let mut is_late_one_here = false;
+    let mut has_spectator = false;
     while began.elapsed() < end {
         if interrupt.is_set() {
             return Err(SessionError::Interrupted.into());
         }
-        if !is_late_one_here && began.elapsed() >= late {
-            people.push(session.join(LATE_NAME, "spectator", None, dir)?);
-            is_late_one_here = true;
+        if !has_spectator && began.elapsed() >= late {
+            participants.push(session.join(LATE_NAME, "spectator", None, dir)?);
+            has_spectator = true;
         }
         session.server.check_alive().map_err(SessionError::from)?;
         stress.check_alive().map_err(SessionError::from)?;
-        bury(&mut people, &mut problems);
+        remove_dead(&mut participants, &mut problems);
         let s = began.elapsed().saturating_sub(START_LEAD).as_secs();
         progress.tick(&format!("{s} of {:.0} s", options.seconds));
         std::thread::sleep(Duration::from_millis(20));
     }
     // On a bad network the late participant may still be joining.
-    if let Some(last) = people
+    if let Some(last) = participants
         .iter_mut()
         .find(|p| p.program.name().ends_with(LATE_NAME))
     {
@@ -278,12 +265,12 @@ fn session(
     }
     progress.stage("participants leave and write their recordings");
     drop(stress);
-    finish(session, people, problems)
+    finish(session, participants, problems)
 }
 
 /// Removes participants that died; the others continue.
-fn bury(people: &mut Vec<Participant>, problems: &mut Vec<String>) {
-    people.retain_mut(|p| match p.program.check_alive() {
+fn remove_dead(participants: &mut Vec<Participant>, problems: &mut Vec<String>) {
+    participants.retain_mut(|p| match p.program.check_alive() {
         Ok(()) => true,
         Err(error) => {
             problems.push(error.to_string());
@@ -294,16 +281,16 @@ fn bury(people: &mut Vec<Participant>, problems: &mut Vec<String>) {
 
 fn finish(
     session: Session,
-    people: Vec<Participant>,
+    participants: Vec<Participant>,
     mut problems: Vec<String>,
 ) -> Result<Run, DemoError> {
-    for participant in &people {
+    for participant in &participants {
         participant.program.ask_to_end();
     }
-    let mut left = Vec::new();
-    for participant in people {
+    let mut results = Vec::new();
+    for participant in participants {
         match participant.leave() {
-            Ok(figures) => left.push(figures),
+            Ok(figures) => results.push(figures),
             Err(error) => problems.push(error.to_string()),
         }
     }
@@ -311,7 +298,7 @@ fn finish(
     Ok(Run {
         host,
         network,
-        left,
+        results,
         problems,
     })
 }
@@ -325,16 +312,16 @@ struct Pictures {
 /// Computes the report; the reference comes with its computation time in s.
 fn conclude(
     options: &DemoOptions,
-    subject: &TestModel,
+    test_model: &TestModel,
     run: Run,
     reference: Result<(Reference, f64), reference::ReferenceError>,
     strokes: u64,
 ) -> (Report, Pictures) {
     let mut report = Report {
-        nodes: subject.model.nodes.len(),
+        nodes: test_model.model.nodes.len(),
         seconds: options.seconds,
         stress: options.stress,
-        network: NetworkReport::from(run.network),
+        network: run.network,
         problems: run.problems,
         ..Report::new(ServerReport::of(&run.host))
     };
@@ -351,13 +338,16 @@ fn conclude(
         }
     };
     report.participants = run
-        .left
+        .results
         .iter()
         .map(|l| participant(l, reference.as_ref(), options.seconds))
         .collect();
-    let recordings: Vec<&Recording> = run.left.iter().map(|l| &l.recording).collect();
+    let recordings: Vec<&Recording> = run.results.iter().map(|l| &l.recording).collect();
     report.delay = DelayFigures::of(&recordings, options.seconds);
-    let cpu = run.left.iter().map(|l| cpu_of(&l.summary.name, &l.summary));
+    let cpu = run
+        .results
+        .iter()
+        .map(|l| cpu_of(&l.summary.name, &l.summary));
     let cpu = cpu.chain([cpu_of(criteria::SERVER, &run.host)]);
     report.cpu = cpu.flatten().collect();
     report.cut = CutReport {
@@ -372,9 +362,9 @@ fn conclude(
         &recordings,
         &report,
         reference.as_ref(),
-        &disagreement.course,
+        &disagreement.over_time,
     );
-    report.take_disagreement(&disagreement);
+    report.set_disagreement(&disagreement);
     judge(&mut report, options);
     (report, pictures)
 }
@@ -410,20 +400,24 @@ fn judge(report: &mut Report, options: &DemoOptions) {
 }
 
 /// Figures of a participant: its summary, and those of its recording.
-fn participant(left: &Left, reference: Option<&Reference>, seconds: f64) -> ParticipantReport {
-    let recording = &left.recording;
+fn participant(
+    result: &ParticipantResult,
+    reference: Option<&Reference>,
+    seconds: f64,
+) -> ParticipantReport {
+    let recording = &result.recording;
     let expected = reference_of(&recording.name, reference);
-    let course = recording
+    let points = recording
         .script_started_us
         .map(|began| over_script(&recording.haptic, began));
-    let both = course.as_ref().zip(expected);
+    let both = points.as_ref().zip(expected);
     let d = recording.dropped;
     let force_error = both.and_then(|(c, r)| ForceError::between(c, r));
     ParticipantReport {
         dropouts: both.and_then(|(c, r)| Dropouts::between(c, r)),
-        recording_gap_ms: course.map(|c| longest_gap_ms(&c, seconds)),
+        recording_gap_ms: points.map(|c| longest_gap_ms(&c, seconds)),
         records_dropped: d.haptic + d.views + d.view_nodes + d.operations,
-        ..ParticipantReport::of(left.summary.clone(), force_error)
+        ..ParticipantReport::of(result.summary.clone(), force_error)
     }
 }
 
@@ -433,7 +427,7 @@ fn reference_of<'a>(
     reference: Option<&'a Reference>,
 ) -> Option<&'a [crate::force_error::ForcePoint]> {
     let seat = NAMES.iter().position(|n| *n == name)?;
-    Some(&reference?.courses[seat])
+    Some(&reference?.forces[seat])
 }
 
 /// Time at which each participant applied the first cut, relative to the first one. Late participants, which
@@ -455,12 +449,12 @@ fn draw(
     recordings: &[&Recording],
     report: &Report,
     reference: Option<&Reference>,
-    course: &[CoursePoint],
+    over_time: &[DisagreementPoint],
 ) -> Pictures {
     let zero_us = recordings
         .iter()
         .find_map(|r| r.script_started_us)
-        .or(course.first().map(|p| p.t_us))
+        .or(over_time.first().map(|p| p.t_us))
         .unwrap_or(0);
     let seconds = |us: i64| (us - zero_us) as f64 * 1e-6;
     let mut marks = Vec::new();
@@ -482,7 +476,7 @@ fn draw(
             label: "spectator joins".to_owned(),
         });
     }
-    let courses: Vec<_> = recordings
+    let forces: Vec<_> = recordings
         .iter()
         .filter_map(|r| {
             Some((
@@ -496,9 +490,9 @@ fn draw(
         of.and_then(|p| p.dropouts.as_ref())
             .map_or(&[][..], |d| &d.spans_s)
     };
-    let felt: Vec<Felt<'_>> = courses
+    let trainees: Vec<TraineeForces<'_>> = forces
         .iter()
-        .map(|(name, session)| Felt {
+        .map(|(name, session)| TraineeForces {
             name,
             session,
             reference: reference_of(name, reference).unwrap_or_default(),
@@ -506,8 +500,8 @@ fn draw(
         })
         .collect();
     Pictures {
-        forces: plots::forces(&felt, marks.clone()).to_svg(),
-        views: plots::views(course, zero_us, marks).to_svg(),
+        forces: plots::forces(&trainees, marks.clone()).to_svg(),
+        views: plots::views(over_time, zero_us, marks).to_svg(),
     }
 }
 
@@ -515,17 +509,23 @@ impl Pictures {
     fn write(&self, dir: &Path, report: &Report) -> Result<(), DemoError> {
         let json = serde_json::to_string_pretty(report).expect("a report is plain data");
         let text = format!("{report}\n\n{}\n", crate::report::DEFINITIONS);
-        let page = format!(
-            "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<title>Palpate \
-             demo</title>\n<body style=\"font-family:sans-serif;max-width:1000px;margin:auto\">\n\
-             <h1>Palpate demo</h1>\n<pre style=\"overflow-x:auto\">{}</pre>\n{}\n{}\n</body>\n</html>\n",
-            crate::chart::escape(&text),
-            self.forces,
-            self.views
-        );
+        let page = html! {
+            (DOCTYPE)
+            html lang="en" {
+                head {
+                    meta charset="utf-8";
+                    title { "Palpate demo" }
+                }
+                body style="font-family:sans-serif;max-width:1000px;margin:auto" {
+                    h1 { "Palpate demo" }
+                    pre style="overflow-x:auto" { (text) }
+                    @for chart in [&self.forces, &self.views] { (PreEscaped(chart)) }
+                }
+            }
+        };
         write(&dir.join("report.json"), &json)?;
         write(&dir.join("report.txt"), &text)?;
-        write(&dir.join("report.html"), &page)?;
+        write(&dir.join("report.html"), &page.into_string())?;
         write(&dir.join("force.svg"), &self.forces)?;
         write(&dir.join("view_disagreement.svg"), &self.views)
     }

@@ -18,6 +18,8 @@ use std::collections::BTreeMap;
 use palpate_client::recording::{NODES_PER_VIEW_MAX, Recording, ViewRecord, node_rank};
 use serde::{Deserialize, Serialize};
 
+use crate::bench::quantile_of_sorted;
+
 /// Grid of compared instants, µs.
 const GRID_US: i64 = 10_000;
 
@@ -27,8 +29,8 @@ const MOVED_MM: f64 = 0.05;
 /// Maximum pause between two views for interpolation, µs.
 const PAUSE_MAX_US: i64 = 250_000;
 
-/// Interval of the course over time, µs.
-const COURSE_US: i64 = 100_000;
+/// Interval of the disagreement over time, µs.
+const INTERVAL_US: i64 = 100_000;
 
 /// Percentiles of distances, mm.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
@@ -50,8 +52,7 @@ impl DistancesMm {
             return Self::default();
         }
         distances.sort_unstable_by(f32::total_cmp);
-        let last = distances.len() - 1;
-        let at = |q: f64| f64::from(distances[(last as f64 * q).round() as usize]);
+        let at = |q: f64| quantile_of_sorted(distances, q).map_or(0.0, f64::from);
         Self {
             p50: at(0.5),
             p95: at(0.95),
@@ -61,9 +62,9 @@ impl DistancesMm {
     }
 }
 
-/// An interval of the course over time.
+/// An interval of the disagreement over time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct CoursePoint {
+pub struct DisagreementPoint {
     /// Middle of the interval, monotonic, µs.
     pub t_us: i64,
     /// 95th percentile, mm.
@@ -84,7 +85,7 @@ pub struct Disagreement {
     /// Contents at equal s.
     pub contents: DistancesMm,
     /// Views over time.
-    pub course: Vec<CoursePoint>,
+    pub over_time: Vec<DisagreementPoint>,
 }
 
 /// A view interpolated at one instant: positions in mm.
@@ -132,34 +133,34 @@ impl Disagreement {
             tools: DistancesMm::of(&mut pick(|d| matches!(d, Distance::Tool(_)))),
             nodes: DistancesMm::of(&mut pick(|d| matches!(d, Distance::Node(_)))),
             contents: DistancesMm::of(&mut contents),
-            course: course(&views),
+            over_time: over_time(&views),
         }
     }
 }
 
-/// Passes the distance in mm of every counted node at every instant to `give`.
-pub fn each_node(a: &Recording, b: &Recording, mut give: impl FnMut(f32)) {
+/// Passes the distance in mm of every counted node at every instant to `visit`.
+pub fn each_node(a: &Recording, b: &Recording, mut visit: impl FnMut(f32)) {
     let mut views = Vec::new();
     compare_views(a, b, &mut views);
     for (_, distance) in views {
         if let Distance::Node(mm) = distance {
-            give(mm);
+            visit(mm);
         }
     }
 }
 
-fn course(views: &[(i64, Distance)]) -> Vec<CoursePoint> {
+fn over_time(views: &[(i64, Distance)]) -> Vec<DisagreementPoint> {
     let mut pieces: BTreeMap<i64, Vec<f32>> = BTreeMap::new();
     for (t, d) in views {
-        let piece = t.div_euclid(COURSE_US);
+        let piece = t.div_euclid(INTERVAL_US);
         pieces.entry(piece).or_default().push(d.mm());
     }
     pieces
         .into_iter()
         .map(|(piece, mut distances)| {
             let figures = DistancesMm::of(&mut distances);
-            CoursePoint {
-                t_us: piece * COURSE_US + COURSE_US / 2,
+            DisagreementPoint {
+                t_us: piece * INTERVAL_US + INTERVAL_US / 2,
                 p95_mm: figures.p95,
                 max_mm: figures.max,
             }
@@ -347,7 +348,7 @@ mod tests {
         assert!((d.tools.p50 - 3.0).abs() < 1e-3, "{:?}", d.tools);
         assert!((d.nodes.p50 - 3.0).abs() < 1e-3, "{:?}", d.nodes);
         assert!(d.contents.count > 100 && d.contents.max < 1e-6);
-        assert!(d.course.len() > 10 && (d.course[5].p95_mm - 3.0).abs() < 1e-3);
+        assert!(d.over_time.len() > 10 && (d.over_time[5].p95_mm - 3.0).abs() < 1e-3);
     }
 
     #[test]

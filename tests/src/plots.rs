@@ -1,12 +1,12 @@
 //! Plots of a report.
 
-use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, PURPLE, Panel, Scale};
-use crate::disagreement::CoursePoint;
+use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, PURPLE, Panel};
+use crate::disagreement::DisagreementPoint;
 use crate::force_error::{ForcePoint, norm};
 
 /// Forces of one trainee.
 #[derive(Debug, Clone)]
-pub struct Felt<'a> {
+pub struct TraineeForces<'a> {
     /// The name.
     pub name: &'a str,
     /// In the session, over the time of the script.
@@ -18,86 +18,58 @@ pub struct Felt<'a> {
 }
 
 /// Force over time of every trainee, with the reference. `marks` are in seconds of script.
-pub fn forces(felt: &[Felt<'_>], marks: Vec<Mark>) -> Chart {
-    let colours = [BLUE, ORANGE, GREEN];
-    let panel = |(i, f): (usize, &Felt<'_>)| {
-        let line = |name: &str, colour, dashed, points: &[ForcePoint]| Line {
-            name: name.to_owned(),
-            colour,
-            dashed,
-            points: points.iter().map(|p| (p.t_s, norm(p.force_n))).collect(),
-        };
-        Panel {
-            title: format!("Force on the tool of the {}", f.name),
-            y_label: "force (N)".to_owned(),
-            lines: vec![
-                line("in the session", colours[i % 3], false, f.session),
-                // Dashed and on top, so that both curves stay visible where they coincide.
-                line("without a network", GREY, true, f.reference),
-                dropouts(f),
-            ]
-            .into_iter()
-            .filter(|l| !l.points.is_empty())
-            .collect(),
-            scale: Scale::Linear,
-        }
+pub fn forces(trainees: &[TraineeForces<'_>], marks: Vec<Mark>) -> Chart {
+    let colours = [BLUE, ORANGE, GREEN].into_iter().cycle();
+    let panel = |(trainee, colour): (&TraineeForces<'_>, _)| {
+        let force = |p: &ForcePoint| (p.t_s, norm(p.force_n));
+        let session = trainee.session.iter().map(force);
+        let reference = trainee.reference.iter().map(force);
+        let lines = [
+            Line::new("in the session", colour, session),
+            // Dashed and on top, so that both curves stay visible where they coincide.
+            Line::new("without a network", GREY, reference).dashed(true),
+            dropouts(trainee),
+        ];
+        let title = format!("Force on the tool of the {}", trainee.name);
+        Panel::new(title, "force (N)", lines)
     };
-    Chart {
-        title: "Contact force".to_owned(),
-        x_label: "time of the script (s)".to_owned(),
-        panels: felt.iter().enumerate().map(panel).collect(),
-        marks,
-    }
+    let panels = trainees.iter().zip(colours).map(panel).collect();
+    Chart::new("Contact force", "time of the script (s)", panels).with_marks(marks)
 }
 
 /// Dropouts as pulses from zero to the largest force of the reference.
-fn dropouts(felt: &Felt<'_>) -> Line {
-    let force = felt.reference.iter().map(|p| norm(p.force_n));
+fn dropouts(trainee: &TraineeForces<'_>) -> Line {
+    let force = trainee.reference.iter().map(|p| norm(p.force_n));
     let top = force.fold(0.0, f64::max);
     let pulse = |&(from, to): &(f64, f64)| [(from, 0.0), (from, top), (to, top), (to, 0.0)];
-    Line {
-        name: format!("dropouts: {}", felt.dropouts.len()),
-        colour: PURPLE,
-        dashed: false,
-        points: felt.dropouts.iter().flat_map(pulse).collect(),
-    }
+    let name = format!("dropouts: {}", trainee.dropouts.len());
+    Line::new(name, PURPLE, trainee.dropouts.iter().flat_map(pulse))
 }
 
 /// View disagreement over time. `zero_us` is the start of the script on the monotonic clock.
-pub fn views(course: &[CoursePoint], zero_us: i64, marks: Vec<Mark>) -> Chart {
-    let line = |name: &str, colour, value: fn(&CoursePoint) -> f64| Line {
-        name: name.to_owned(),
-        colour,
-        dashed: false,
-        points: course
-            .iter()
-            .map(|p| ((p.t_us - zero_us) as f64 * 1e-6, value(p)))
-            .collect(),
+pub fn views(over_time: &[DisagreementPoint], zero_us: i64, marks: Vec<Mark>) -> Chart {
+    let line = |name: &str, colour, value: fn(&DisagreementPoint) -> f64| {
+        let points = over_time.iter();
+        let points = points.map(|p| ((p.t_us - zero_us) as f64 * 1e-6, value(p)));
+        Line::new(name, colour, points)
     };
-    Chart {
-        title: "Disagreement of views".to_owned(),
-        x_label: "time of the script (s)".to_owned(),
-        panels: vec![Panel {
-            title: "All pairs of participants, in pieces of 0.1 s".to_owned(),
-            y_label: "distance (mm)".to_owned(),
-            lines: vec![
-                line("largest", GREY, |p| p.max_mm),
-                line("95th percentile", BLUE, |p| p.p95_mm),
-            ],
-            scale: Scale::Linear,
-        }],
-        marks,
-    }
+    let lines = [
+        line("largest", GREY, |p| p.max_mm),
+        line("95th percentile", BLUE, |p| p.p95_mm),
+    ];
+    let title = "All pairs of participants, in pieces of 0.1 s";
+    let panels = vec![Panel::new(title, "distance (mm)", lines)];
+    Chart::new("Disagreement of views", "time of the script (s)", panels).with_marks(marks)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Felt, forces};
+    use super::{TraineeForces, forces};
     use crate::force_error::ForcePoint;
 
     #[test]
     fn dropouts_are_drawn_and_named_where_there_are_any() {
-        let course: Vec<ForcePoint> = (0..100)
+        let points: Vec<ForcePoint> = (0..100)
             .map(|i| ForcePoint {
                 t_s: f64::from(i) * 0.01,
                 force_n: [0.0, 0.0, 1.0],
@@ -105,13 +77,13 @@ mod tests {
             })
             .collect();
         let svg = |dropouts: &[(f64, f64)]| {
-            let felt = Felt {
+            let trainee = TraineeForces {
                 name: "holder",
-                session: &course,
-                reference: &course,
+                session: &points,
+                reference: &points,
                 dropouts,
             };
-            forces(&[felt], Vec::new()).to_svg()
+            forces(&[trainee], Vec::new()).to_svg()
         };
         assert!(svg(&[(0.2, 0.3), (0.5, 0.6)]).contains("dropouts: 2"));
         assert!(!svg(&[]).contains("dropouts"));

@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 use crate::cpu::{CpuRow, CpuTable};
 use crate::criteria::{self, Criterion, Expected};
 use crate::delay_figures::DelayFigures;
-use crate::disagreement::{CoursePoint, Disagreement, DistancesMm};
+use crate::disagreement::{Disagreement, DistancesMm};
 use crate::dropout::Dropouts;
 use crate::force_error::ForceError;
 use crate::reference::Reference;
-use crate::relay::{RelayStats, WayStats};
+use crate::relay::RelayStats;
 
 /// The figures of a demo.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -37,7 +37,7 @@ pub struct Report {
     /// How far apart participants show the same item for the same moment of the session.
     pub content_disagreement_mm: DistancesMm,
     /// The network between them.
-    pub network: NetworkReport,
+    pub network: RelayStats,
     /// The cuts.
     pub cut: CutReport,
     /// The playout delay D over the scripts; `None` when no view was recorded.
@@ -114,35 +114,6 @@ pub struct ServerReport {
     pub topology_version: u32,
 }
 
-/// The network: settings and measurements of the relay.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
-pub struct NetworkReport {
-    /// The profile's name.
-    pub profile: String,
-    /// The seed.
-    pub seed: u64,
-    /// Packets into the relay, both directions.
-    pub sent: u64,
-    /// Packets dropped by the profile.
-    pub dropped: u64,
-    /// Reordered packets.
-    pub reordered: u64,
-    /// Counts of packets to the server.
-    #[serde(default)]
-    pub up: WayStats,
-    /// Counts of packets to clients.
-    #[serde(default)]
-    pub down: WayStats,
-    /// Share of dropped packets, 0 to 1.
-    pub loss: f64,
-    /// Mean one-way delay, ms.
-    pub delay_mean_ms: f64,
-    /// 99th percentile of the one-way delay, ms.
-    pub delay_p99_ms: f64,
-    /// Lateness of the relay itself, 99th percentile, ms.
-    pub lateness_p99_ms: f64,
-}
-
 /// The cuts.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct CutReport {
@@ -190,24 +161,6 @@ impl ReferenceReport {
             checks: q.checks,
             residual_max: q.residual_max,
             error_percent: q.error_percent,
-        }
-    }
-}
-
-impl From<RelayStats> for NetworkReport {
-    fn from(s: RelayStats) -> Self {
-        Self {
-            profile: s.profile,
-            seed: s.seed,
-            sent: s.total.sent,
-            dropped: s.total.dropped,
-            reordered: s.total.reordered,
-            up: s.up,
-            down: s.down,
-            loss: s.loss,
-            delay_mean_ms: s.delay_mean_ms,
-            delay_p99_ms: s.delay_p99_ms,
-            lateness_p99_ms: s.lateness_p99_ms,
         }
     }
 }
@@ -266,7 +219,7 @@ impl Report {
             tool_disagreement_mm: DistancesMm::default(),
             node_disagreement_mm: DistancesMm::default(),
             content_disagreement_mm: DistancesMm::default(),
-            network: NetworkReport::default(),
+            network: RelayStats::default(),
             cut: CutReport::default(),
             delay: None,
             cpu: Vec::new(),
@@ -286,12 +239,11 @@ impl Report {
     }
 
     /// Sets the figures of view disagreement.
-    pub fn take_disagreement(&mut self, d: &Disagreement) -> Vec<CoursePoint> {
+    pub fn set_disagreement(&mut self, d: &Disagreement) {
         self.view_disagreement_mm = d.views;
         self.tool_disagreement_mm = d.tools;
         self.node_disagreement_mm = d.nodes;
         self.content_disagreement_mm = d.contents;
-        d.course.clone()
     }
 }
 
@@ -415,7 +367,7 @@ impl fmt::Display for Brief<'_> {
         }
         writeln!(f)?;
         for p in r.participants.iter().filter(|p| p.ticks > 0) {
-            writeln!(f, "force of the {:<11} {}", p.name, Felt(p))?;
+            writeln!(f, "force of the {:<11} {}", p.name, ForceOf(p))?;
         }
         if let Some(d) = &r.delay {
             let (median, max) = (d.median_ms, d.max_ms);
@@ -460,9 +412,9 @@ impl fmt::Display for Brief<'_> {
 }
 
 /// Force error and dropouts of a trainee, in a line.
-struct Felt<'a>(&'a ParticipantReport);
+struct ForceOf<'a>(&'a ParticipantReport);
 
-impl fmt::Display for Felt<'_> {
+impl fmt::Display for ForceOf<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.0.force_error_rms {
             Some(percent) => write!(f, "{percent:.1} % from the reference, ")?,
@@ -520,9 +472,9 @@ impl Report {
             n.delay_mean_ms,
             n.delay_p99_ms,
             n.loss * 100.0,
-            n.dropped,
-            n.sent,
-            n.reordered,
+            n.total.dropped,
+            n.total.sent,
+            n.total.reordered,
             n.lateness_p99_ms
         )?;
         writeln!(f, "  to server    {}", n.up)?;

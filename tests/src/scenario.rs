@@ -22,6 +22,8 @@ use palpate_site::{HAPTIC_PERIOD, Replica, ToolAt, hand_budget};
 use palpate_tissue::{Budget, Model, Reaction, Shape, Solver, Tool, Topology};
 use serde::Serialize;
 
+use crate::experiments::Table;
+
 /// Tick of the chain.
 const TICK: Span = Span::from_millis(1);
 /// Period of the converged solves, ms; coprime to the haptic period.
@@ -47,8 +49,6 @@ pub struct Scenario {
     pub tool: ToolDescription,
     /// The path of the tool.
     pub path: Script,
-    /// Constants of the chain.
-    pub chain: ChainConfig,
 }
 
 /// One tick.
@@ -59,18 +59,18 @@ pub struct Point {
     /// Position of the pivot, m.
     pub position: Vector3<f64>,
     /// Rendered wrench.
-    pub felt: Wrench,
+    pub rendered: Wrench,
     /// Whether the tool has slid for `SLID_TICKS` ticks.
     pub slides: bool,
     /// Converged wrench, at checked ticks.
-    pub truth: Option<Truth>,
+    pub solution: Option<Solution>,
 }
 
 /// Converged solution.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Truth {
+pub struct Solution {
     /// Wrench on the tool without friction.
-    pub plain: Wrench,
+    pub frictionless: Wrench,
     /// Friction wrench if the tool slides.
     pub friction: Wrench,
     /// Sum of the normal forces, N.
@@ -79,19 +79,20 @@ pub struct Truth {
     pub residual: f64,
 }
 
-impl Truth {
-    /// Wrench with friction.
-    pub fn sliding(&self) -> Wrench {
+impl Solution {
+    /// The wrench with friction if the tool slides, without it otherwise.
+    pub fn at(&self, slides: bool) -> Wrench {
+        let share = f64::from(u8::from(slides));
         Wrench {
-            force: self.plain.force + self.friction.force,
-            torque: self.plain.torque + self.friction.torque,
+            force: self.frictionless.force + self.friction.force * share,
+            torque: self.frictionless.torque + self.friction.torque * share,
         }
     }
 }
 
 /// Result.
 #[derive(Debug, Clone)]
-pub struct Course {
+pub struct ScenarioResult {
     /// One point per tick.
     pub points: Vec<Point>,
     /// Counters of the chain.
@@ -117,12 +118,12 @@ impl Deviation {
     /// Deviation over pairs of rendered and converged values.
     pub fn of(pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)>) -> Self {
         let (mut off, mut all, mut worst, mut largest, mut n) = (0.0, 0.0, 0.0_f64, 0.0_f64, 0);
-        for (felt, truth) in pairs {
-            let apart = (felt - truth).norm();
+        for (rendered, solution) in pairs {
+            let apart = (rendered - solution).norm();
             off += apart * apart;
-            all += truth.norm_squared();
+            all += solution.norm_squared();
             worst = worst.max(apart);
-            largest = largest.max(truth.norm());
+            largest = largest.max(solution.norm());
             n += 1;
         }
         let share = |a: f64, b: f64| if b > 0.0 { a / b } else { f64::NAN };
@@ -154,22 +155,31 @@ fn caps() -> DeviceCaps {
     }
 }
 
-/// A path from way points, without the dynamics of a simulated hand.
-pub fn path(ways: Vec<WayPoint>) -> Result<Script, String> {
-    Script::new(ScriptTool::probe(1e-3), Hand::default(), ways, false).map_err(|e| e.to_string())
-}
-
 impl Scenario {
+    /// A tool on a path of way points, without the dynamics of a simulated hand.
+    pub fn new(
+        model: Arc<Model>,
+        tool: ToolDescription,
+        path: Vec<WayPoint>,
+    ) -> Result<Self, String> {
+        let path = Script::new(ScriptTool::probe(1e-3), Hand::default(), path, false);
+        Ok(Self {
+            model,
+            tool,
+            path: path.map_err(|e| e.to_string())?,
+        })
+    }
+
     /// Runs the simulation; `progress` receives the completed share.
-    pub fn run(&self, progress: &mut (dyn FnMut(f64) + Send)) -> Course {
-        let (mut points, counters, solve_ms) = self.feel(&mut |done| progress(0.5 * done));
+    pub fn run(&self, progress: &mut (dyn FnMut(f64) + Send)) -> ScenarioResult {
+        let (mut points, counters, solve_ms) = self.render(&mut |done| progress(0.5 * done));
         // The converged solves may use all cores.
         let all = std::thread::available_parallelism().map_or(1, usize::from);
         let mut converge = || self.converge(&mut points, &mut |done| progress(0.5 + 0.5 * done));
         if crate::bench::on_threads(all, &mut converge).is_err() {
             converge();
         }
-        Course {
+        ScenarioResult {
             points,
             counters,
             solve_ms,
@@ -192,9 +202,9 @@ impl Scenario {
     }
 
     /// Simulates the haptic path.
-    fn feel(&self, progress: &mut dyn FnMut(f64)) -> (Vec<Point>, Counters, [f64; 2]) {
+    fn render(&self, progress: &mut dyn FnMut(f64)) -> (Vec<Point>, Counters, [f64; 2]) {
         let mut replica = Replica::new(Arc::clone(&self.model), true);
-        let mut chain = Chain::new(self.chain, &caps());
+        let mut chain = Chain::new(ChainConfig::default(), &caps());
         let (mut known, mut coming) = (ContactModel::FREE, None::<(ClientTime, ContactModel)>);
         let (mut solve_at, mut times, mut slid) = (ClientTime::ZERO, Vec::new(), 0);
         let mut points = Vec::new();
@@ -229,9 +239,9 @@ impl Scenario {
                 points.push(Point {
                     t_s: tick as f64 * 1e-3,
                     position: at.pose.position,
-                    felt: done.wrench,
+                    rendered: done.wrench,
                     slides: slid > SLID_TICKS,
-                    truth: None,
+                    solution: None,
                 });
                 progress(tick as f64 / self.ticks().max(1) as f64);
             }
@@ -250,63 +260,69 @@ impl Scenario {
             let tools: Vec<Tool> = self.at(&at).contacts().collect();
             let budget = Budget::new(ITERATIONS, CONVERGED);
             let report = solver.step(&topology, &mut shape, &tools, budget);
-            point.truth = Some(truth(&report.reactions, &at, report.residual));
+            point.solution = Some(solution(&report.reactions, &at, report.residual));
             progress(k as f64 / count as f64);
         }
     }
 }
 
 /// Converged wrench about the pivot, from the reactions of a moving tool.
-fn truth(reactions: &[Reaction], at: &ScriptPose, residual: f64) -> Truth {
-    let mut truth = Truth {
-        plain: Wrench::ZERO,
+fn solution(reactions: &[Reaction], at: &ScriptPose, residual: f64) -> Solution {
+    let mut solution = Solution {
+        frictionless: Wrench::ZERO,
         friction: Wrench::ZERO,
         pressed_n: 0.0,
         residual,
     };
     for reaction in reactions {
-        truth.plain.force += reaction.force;
-        truth.plain.torque += reaction.torque;
-        for place in &reaction.places {
-            truth.pressed_n += place.pressed;
-            let v = at.velocity + at.angular_velocity.cross(&place.lever);
-            let across = v - place.normal * place.normal.dot(&v);
+        solution.frictionless.force += reaction.force;
+        solution.frictionless.torque += reaction.torque;
+        for contact in &reaction.places {
+            solution.pressed_n += contact.pressed;
+            let v = at.velocity + at.angular_velocity.cross(&contact.lever);
+            let across = v - contact.normal * contact.normal.dot(&v);
             if across.norm() > SLIDES_M_S {
-                let force = across.normalize() * (-place.friction_dynamic * place.pressed);
-                truth.friction.force += force;
-                truth.friction.torque += place.lever.cross(&force);
+                let force = across.normalize() * (-contact.friction_dynamic * contact.pressed);
+                solution.friction.force += force;
+                solution.friction.torque += contact.lever.cross(&force);
             }
         }
     }
-    truth
+    solution
 }
 
-impl Course {
+impl ScenarioResult {
     /// The points with a converged solution.
-    pub fn checked(&self) -> impl Iterator<Item = (&Point, Truth)> {
-        self.points.iter().filter_map(|p| Some((p, p.truth?)))
+    pub fn checked(&self) -> impl Iterator<Item = (&Point, Solution)> {
+        self.points.iter().filter_map(|p| Some((p, p.solution?)))
     }
 
     /// Rendered against converged force without friction, for frictionless tissue.
-    pub fn plain(&self) -> Deviation {
-        Deviation::of(self.checked().map(|(p, t)| (p.felt.force, t.plain.force)))
+    pub fn frictionless(&self) -> Deviation {
+        Deviation::of(
+            self.checked()
+                .map(|(p, t)| (p.rendered.force, t.frictionless.force)),
+        )
     }
 
     /// The same for the torque about the pivot.
-    pub fn plain_torque(&self) -> Deviation {
-        Deviation::of(self.checked().map(|(p, t)| (p.felt.torque, t.plain.torque)))
+    pub fn frictionless_torque(&self) -> Deviation {
+        Deviation::of(
+            self.checked()
+                .map(|(p, t)| (p.rendered.torque, t.frictionless.torque)),
+        )
     }
 
     /// Force with friction while the tool slides.
     pub fn sliding(&self) -> Deviation {
         let slides = self.checked().filter(|(p, _)| p.slides);
-        Deviation::of(slides.map(|(p, t)| (p.felt.force, t.sliding().force)))
+        Deviation::of(slides.map(|(p, t)| (p.rendered.force, t.at(true).force)))
     }
 
     /// The same for the torque.
     pub fn sliding_torque(&self) -> Deviation {
         let slides = self.checked().filter(|(p, _)| p.slides);
-        Deviation::of(slides.map(|(p, t)| (p.felt.torque, t.sliding().torque)))
+        Deviation::of(slides.map(|(p, t)| (p.rendered.torque, t.at(true).torque)))
     }
 
     /// Share of sliding checks from `from_s` on.
@@ -325,49 +341,30 @@ impl Course {
         serde_json::json!({ "worst": worst, "over": over, "checks": self.checked().count() })
     }
 
-    /// The course as CSV.
-    pub fn csv(&self) -> String {
-        use std::fmt::Write as _;
-        let mut csv = String::from(
+    /// One row per tick.
+    pub fn table(&self) -> Table {
+        let mut table = Table::new(
             "t_s,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n,tx_nmm,ty_nmm,tz_nmm,slides,converged_fx_n,converged_fy_n,\
-             converged_fz_n,converged_tx_nmm,converged_ty_nmm,converged_tz_nmm,pressed_n,residual\n",
+             converged_fz_n,converged_tx_nmm,converged_ty_nmm,converged_tz_nmm,pressed_n,residual",
         );
+        let numbers = |v: Vector3<f64>, digits: usize| v.map(|x| format!("{x:.digits$}"));
         for p in &self.points {
-            let (x, f, t) = (p.position * 1e3, p.felt.force, p.felt.torque * 1e3);
-            // Writing to a string cannot fail.
-            let _ = write!(
-                csv,
-                "{:.3},{:.4},{:.4},{:.4},{:.5},{:.5},{:.5},{:.4},{:.4},{:.4},{}",
-                p.t_s,
-                x.x,
-                x.y,
-                x.z,
-                f.x,
-                f.y,
-                f.z,
-                t.x,
-                t.y,
-                t.z,
-                u8::from(p.slides)
-            );
-            match p.truth {
-                Some(truth) => {
-                    let all = if p.slides {
-                        truth.sliding()
-                    } else {
-                        truth.plain
-                    };
-                    let (f, t) = (all.force, all.torque * 1e3);
-                    let _ = writeln!(
-                        csv,
-                        ",{:.5},{:.5},{:.5},{:.4},{:.4},{:.4},{:.5},{:.1e}",
-                        f.x, f.y, f.z, t.x, t.y, t.z, truth.pressed_n, truth.residual
-                    );
-                }
-                None => csv.push_str(",,,,,,,,\n"),
+            let mut row = vec![format!("{:.3}", p.t_s)];
+            row.extend(numbers(p.position * 1e3, 4).iter().cloned());
+            row.extend(numbers(p.rendered.force, 5).iter().cloned());
+            row.extend(numbers(p.rendered.torque * 1e3, 4).iter().cloned());
+            row.push(u8::from(p.slides).to_string());
+            if let Some(solution) = p.solution {
+                let all = solution.at(p.slides);
+                row.extend(numbers(all.force, 5).iter().cloned());
+                row.extend(numbers(all.torque * 1e3, 4).iter().cloned());
+                row.push(format!("{:.5}", solution.pressed_n));
+                row.push(format!("{:.1e}", solution.residual));
             }
+            row.resize(table.head.len(), String::new());
+            table.rows.push(row);
         }
-        csv
+        table
     }
 }
 

@@ -11,12 +11,14 @@
 //! cutter       ^-press-^lift    |=== stroke ===|lift  ^-press hold-^
 //! ```
 
+use std::sync::Arc;
+
 use nalgebra::{Rotation3, UnitQuaternion};
 use palpate_device::script::{Hand, Tool, WayPoint};
 use palpate_device::{Script, ScriptError};
-use palpate_tissue::Vec3;
+use palpate_tissue::{Model, Solver, Topology, Vec3};
 
-use crate::tool_location::{SurfacePoint, ToolLocation};
+use crate::tool_location::{SurfacePoint, ToolLocation, ToolLocationError};
 
 /// Shortest scripts, s. In less time the stroke would be faster than a hand.
 pub const SECONDS_MIN: f64 = 4.0;
@@ -57,6 +59,23 @@ const STROKE_POINTS: usize = 24;
 /// Period of the slow motion while holding, s.
 const SWAY_PERIOD_S: f64 = 2.5;
 
+/// Failure to make scripts for a model.
+#[derive(Debug, thiserror::Error)]
+pub enum ScriptsError {
+    /// No location for tools.
+    #[error(transparent)]
+    Location(#[from] ToolLocationError),
+    /// The scripts.
+    #[error("the generated scripts are invalid: {0}")]
+    Script(#[from] ScriptError),
+}
+
+impl From<ScriptsError> for String {
+    fn from(error: ScriptsError) -> Self {
+        error.to_string()
+    }
+}
+
 /// The scripts of the two trainees.
 #[derive(Debug, Clone)]
 pub struct Scripts {
@@ -80,25 +99,25 @@ struct Sizes {
 }
 
 impl Sizes {
-    fn of(place: &ToolLocation) -> Self {
-        let scale = place.scale();
-        let soft = place.depth_m;
+    fn of(location: &ToolLocation) -> Self {
+        let scale = location.scale();
+        let soft = location.depth_m;
         // A cut has to sever some cells; a press uses at most a third of the soft depth.
         let stroke_depth = (STROKE_DEPTH_M * scale)
             .min(soft / 2.0)
-            .max(1.5 * place.spacing_m);
-        let probe_radius = (PROBE_RADIUS_M * scale).max(0.75 * place.spacing_m);
+            .max(1.5 * location.spacing_m);
+        let probe_radius = (PROBE_RADIUS_M * scale).max(0.75 * location.spacing_m);
         Self {
             probe_radius,
             press_depth: (PRESS_DEPTH_M * scale).min(soft / 3.0),
             stroke_depth,
-            stroke_length: (STROKE_LENGTH_M * scale).max(5.0 * place.spacing_m),
+            stroke_length: (STROKE_LENGTH_M * scale).max(5.0 * location.spacing_m),
             blade_length: stroke_depth * BLADE_LENGTH_M / STROKE_DEPTH_M,
             hover: HOVER_M * scale.max(0.3),
             sway: 0.005 * scale,
             beside: (BESIDE_M * scale)
-                .min(place.separation_m() / 2.0)
-                .max(2.0 * place.spacing_m),
+                .min(location.separation_m() / 2.0)
+                .max(2.0 * location.spacing_m),
         }
     }
 }
@@ -137,12 +156,22 @@ impl Path {
 }
 
 impl Scripts {
+    /// Scripts of `seconds` for the best location on a model, sagged by its weight.
+    pub fn for_model(model: &Arc<Model>, seconds: f64) -> Result<Self, ScriptsError> {
+        let topology = Topology::new(Arc::clone(model));
+        let mut location = ToolLocation::find(&topology)?;
+        if model.gravity != [0.0; 3] {
+            location.sag(&topology, &Solver::new(&topology));
+        }
+        Ok(Self::for_location(&location, seconds)?)
+    }
+
     /// Scripts of `seconds` for a location on a model.
-    pub fn for_place(place: &ToolLocation, seconds: f64) -> Result<Self, ScriptError> {
-        let sizes = Sizes::of(place);
+    pub fn for_location(location: &ToolLocation, seconds: f64) -> Result<Self, ScriptError> {
+        let sizes = Sizes::of(location);
         Ok(Self {
-            holder: holder(place, &sizes, seconds)?,
-            cutter: cutter(place, &sizes, seconds)?,
+            holder: holder(location, &sizes, seconds)?,
+            cutter: cutter(location, &sizes, seconds)?,
         })
     }
 }
@@ -152,10 +181,10 @@ fn ball(point: &SurfacePoint, radius: f64, depth: f64) -> Vec3 {
     point.at + point.normal * (radius - depth)
 }
 
-fn holder(place: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
+fn holder(location: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
     let r = sizes.probe_radius;
-    let spot = place.spot(-place.separation_m() / 2.0, 0.0, r);
-    let along = (place.v - spot.normal * place.v.dot(&spot.normal)).normalize();
+    let spot = location.spot(-location.separation_m() / 2.0, 0.0, r);
+    let along = (location.v - spot.normal * location.v.dot(&spot.normal)).normalize();
     let pressed = |side: f64| ball(&spot, r, sizes.press_depth) + along * (sizes.sway * side);
     let above = ball(&spot, r, -sizes.hover);
     let mut path = Path {
@@ -176,13 +205,13 @@ fn holder(place: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, S
     Script::new(tool, Hand::default(), path.ways, false)
 }
 
-fn cutter(place: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
+fn cutter(location: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
     let r = BLADE_RADIUS_M;
-    let spot = place.spot(place.separation_m() / 2.0, 0.0, 2.0 * r);
+    let spot = location.spot(location.separation_m() / 2.0, 0.0, 2.0 * r);
     let gentle = sizes.press_depth / 2.0;
     let mut path = Path {
         ways: Vec::new(),
-        turn: upright(&place.normal, &place.v),
+        turn: upright(&location.normal, &location.v),
         length_s: seconds,
     };
     let above = ball(&spot, r, -sizes.hover);
@@ -191,10 +220,10 @@ fn cutter(place: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, S
     path.to(0.10, ball(&spot, r, gentle));
     path.to(0.18, ball(&spot, r, gentle));
     path.to(0.23, above);
-    stroke(place, sizes, &mut path);
-    let beside = place.spot(sizes.beside, 0.0, 2.0 * r);
+    stroke(location, sizes, &mut path);
+    let beside = location.spot(sizes.beside, 0.0, 2.0 * r);
     let over = ball(&beside, r, -sizes.hover);
-    let pressed = |side: f64| ball(&beside, r, gentle) + place.v * (sizes.sway * side);
+    let pressed = |side: f64| ball(&beside, r, gentle) + location.v * (sizes.sway * side);
     path.to(0.60, over);
     path.to(0.68, pressed(0.0));
     path.sway(0.70, 0.94, pressed);
@@ -204,15 +233,15 @@ fn cutter(place: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, S
 }
 
 /// The stroke from above the surface through the tissue and out again, with the button held.
-fn stroke(place: &ToolLocation, sizes: &Sizes, path: &mut Path) {
+fn stroke(location: &ToolLocation, sizes: &Sizes, path: &mut Path) {
     // The tip dives in the first fifth and rises in the last one.
     let ramp = |x: f64| (x / 0.2).min((1.0 - x) / 0.2).clamp(0.0, 1.0);
     let tip = |x: f64| {
-        let point = place.surface(0.0, (x - 0.5) * sizes.stroke_length);
+        let point = location.surface(0.0, (x - 0.5) * sizes.stroke_length);
         let outside = 0.4 * sizes.stroke_depth;
-        point.at + place.normal * (outside - (outside + sizes.stroke_depth) * ramp(x))
+        point.at + location.normal * (outside - (outside + sizes.stroke_depth) * ramp(x))
     };
-    let high = |x: f64| tip(x) + place.normal * sizes.hover / 2.0;
+    let high = |x: f64| tip(x) + location.normal * sizes.hover / 2.0;
     let (from, until) = STROKE_SHARES;
     path.to(from - 0.03, high(0.0));
     path.to(from, tip(0.0)).button = true;
@@ -239,23 +268,11 @@ mod tests {
     use palpate_anatomy::sample;
     use palpate_device::Script;
     use palpate_device::script::WayPoint;
-    use palpate_tissue::{Material, Model, Topology, Vec3, block};
+    use palpate_tissue::{Model, Topology, Vec3};
 
     use super::{SECONDS_MIN, Scripts};
+    use crate::test_model::soft_block;
     use crate::tool_location::ToolLocation;
-
-    fn soft_block(cells: [usize; 3], spacing: f64) -> Model {
-        let soft = Material {
-            name: "soft".into(),
-            young_pa: 1e4,
-            density_kg_m3: 1000.0,
-            friction_static: 0.4,
-            friction_dynamic: 0.3,
-            source: "test".into(),
-            ..Material::default()
-        };
-        block(cells, spacing, &soft, 1)
-    }
 
     /// Peak speed of a script: 15/8 of the mean for a minimum-jerk motion.
     fn top_speed(ways: &[WayPoint]) -> f64 {
@@ -266,9 +283,9 @@ mod tests {
 
     fn check(model: Model) {
         let topology = Topology::new(Arc::new(model));
-        let place = ToolLocation::find(&topology).unwrap();
+        let location = ToolLocation::find(&topology).unwrap();
         for seconds in [SECONDS_MIN, 20.0] {
-            let scripts = Scripts::for_place(&place, seconds).unwrap();
+            let scripts = Scripts::for_location(&location, seconds).unwrap();
             for script in [&scripts.holder, &scripts.cutter] {
                 let ways = script.ways();
                 assert!(
@@ -287,7 +304,7 @@ mod tests {
                     assert!(v < 0.1, "{v} m/s is no hand's speed");
                 }
             }
-            stroke_passes_through(&place, &scripts);
+            stroke_passes_through(&location, &scripts);
             for script in [&scripts.holder, &scripts.cutter] {
                 presses_into_it(&topology, script);
             }
@@ -319,23 +336,23 @@ mod tests {
     }
 
     /// Height of the tip over the surface while the button is held: above, deep inside, above.
-    fn stroke_passes_through(place: &ToolLocation, scripts: &Scripts) {
+    fn stroke_passes_through(location: &ToolLocation, scripts: &Scripts) {
         let held: Vec<&WayPoint> = scripts.cutter.ways().iter().filter(|w| w.button).collect();
         let height = |w: &WayPoint| {
-            let d: Vec3 = w.position - place.middle;
-            let b = d.dot(&place.v);
-            (w.position - place.surface(d.dot(&place.u), b).at).dot(&place.normal)
+            let d: Vec3 = w.position - location.middle;
+            let b = d.dot(&location.v);
+            (w.position - location.surface(d.dot(&location.u), b).at).dot(&location.normal)
         };
         assert!(height(held[0]) > 0.0 && height(held[held.len() - 1]) > 0.0);
         let deepest = held.iter().map(|w| height(w)).fold(0.0, f64::min);
-        assert!(deepest < -place.spacing_m, "only {deepest} m deep");
+        assert!(deepest < -location.spacing_m, "only {deepest} m deep");
         let deep: Vec<&&WayPoint> = held.iter().filter(|w| height(w) < 0.0).collect();
         let length = (deep[deep.len() - 1].position - deep[0].position).norm();
-        assert!(length > 3.0 * place.spacing_m, "only {length} m long");
+        assert!(length > 3.0 * location.spacing_m, "only {length} m long");
         for way in held {
             let blade = way.orientation * Vec3::z();
             assert!(
-                blade.dot(&place.normal) > 0.999,
+                blade.dot(&location.normal) > 0.999,
                 "the blade points out of the tissue"
             );
         }

@@ -98,7 +98,7 @@ pub struct Participant {
 
 /// Results of a participant.
 #[derive(Debug, Clone)]
-pub struct Left {
+pub struct ParticipantResult {
     /// Its summary.
     pub summary: Summary,
     /// Its recording of forces and views.
@@ -157,7 +157,7 @@ impl Session {
     ) -> Result<Participant, SessionError> {
         let record = dir.join(format!("{name}.recording.json"));
         let link = self.link(role)?.to_string();
-        let words = [
+        let options = [
             "client",
             "join",
             &link,
@@ -167,7 +167,7 @@ impl Session {
             "--forget-seat",
             "--record",
         ];
-        let mut arguments: Vec<OsString> = words.map(OsString::from).into();
+        let mut arguments: Vec<OsString> = options.map(OsString::from).into();
         arguments.push(record.clone().into());
         if let Some(script) = script {
             arguments.push("--script".into());
@@ -211,9 +211,9 @@ impl Participant {
     }
 
     /// Collects the results, after [`ask_to_end`](Program::ask_to_end) or after the process ended by itself.
-    pub fn leave(mut self) -> Result<Left, SessionError> {
+    pub fn leave(mut self) -> Result<ParticipantResult, SessionError> {
         self.program.wait_for_success(END_WITHIN)?;
-        Ok(Left {
+        Ok(ParticipantResult {
             summary: self.program.last_json("the client's summary")?,
             recording: read_recording(&self.record)?,
         })

@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use palpate_anatomy::sample::{Sample, SampleError};
 use palpate_anatomy::{BuildError, SceneError, SceneInput, build};
-use palpate_tissue::{FileError, Model, ModelFile, WriteError};
+use palpate_tissue::{FileError, Material, Model, ModelFile, WriteError, block};
+
+use crate::progress::Progress;
 
 /// Failure to prepare a model.
 #[derive(Debug, thiserror::Error)]
@@ -44,6 +46,20 @@ pub struct TestModel {
     pub file: PathBuf,
 }
 
+/// A block of soft tissue on a pinned base.
+pub fn soft_block(cells: [usize; 3], spacing_m: f64) -> Model {
+    let soft = Material {
+        name: "soft".into(),
+        young_pa: 1e4,
+        density_kg_m3: 1000.0,
+        friction_static: 0.4,
+        friction_dynamic: 0.3,
+        source: "a block for experiments".into(),
+        ..Material::default()
+    };
+    block(cells, spacing_m, &soft, 1)
+}
+
 impl TestModel {
     /// The model `name`: a `.palp` file as it is; a `.toml` scene or a sample, built into `dir`.
     pub fn prepare(name: &str, dir: &Path) -> Result<Self, TestModelError> {
@@ -67,6 +83,15 @@ impl TestModel {
                 source,
             }),
         }
+    }
+
+    /// The model `name` alone, without its file.
+    pub(crate) fn in_memory(name: &str, progress: &mut Progress) -> Result<Arc<Model>, String> {
+        let dir = tempfile::tempdir()
+            .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
+        progress.stage(&format!("preparing the model \"{name}\""));
+        let built = Self::prepare(name, dir.path()).map_err(|e| e.to_string())?;
+        Ok(built.model)
     }
 
     fn build(input: &SceneInput, dir: &Path) -> Result<Self, TestModelError> {

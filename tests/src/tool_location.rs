@@ -47,7 +47,7 @@ const SEPARATIONS: usize = 16;
 pub enum ToolLocationError {
     /// No node qualifies.
     #[error(
-        "the model has no place to press and cut: every part of its outer surface is pinned, or \
+        "the model has no location to press and cut: every part of its outer surface is pinned, or \
          is an edge; unpin a region or use a finer spacing"
     )]
     Nowhere,
@@ -295,7 +295,7 @@ impl ToolLocation {
             .map(|t| t.map(|n| topology.rest(n)))
             .filter(|t| (t[0] - middle).norm() < near)
             .collect();
-        let mut place = Self {
+        let mut location = Self {
             middle,
             normal,
             u,
@@ -306,8 +306,8 @@ impl ToolLocation {
             beside_m: 0.0,
             triangles,
         };
-        place.beside_m = place.farthest_beside();
-        Ok(place)
+        location.beside_m = location.farthest_beside();
+        Ok(location)
     }
 
     /// The largest distance from the centre, up to half of [`SEPARATION_M`], with a surface on both sides that
@@ -446,12 +446,16 @@ mod tests {
             ..Material::default()
         };
         let topology = Topology::new(Arc::new(block([30, 30, 10], 0.004, &soft, 1)));
-        let place = ToolLocation::find(&topology).unwrap();
-        assert!((place.normal.z - 1.0).abs() < 1e-9, "{}", place.normal);
-        assert!((place.middle.z - 0.04).abs() < 1e-9);
-        assert!((place.middle.x - 0.06).abs() < 0.02 && (place.middle.y - 0.06).abs() < 0.02);
-        assert!((place.u.cross(&place.v) - place.normal).norm() < 1e-9);
-        let point = place.surface(0.02, -0.01);
+        let location = ToolLocation::find(&topology).unwrap();
+        assert!(
+            (location.normal.z - 1.0).abs() < 1e-9,
+            "{}",
+            location.normal
+        );
+        assert!((location.middle.z - 0.04).abs() < 1e-9);
+        assert!((location.middle.x - 0.06).abs() < 0.02 && (location.middle.y - 0.06).abs() < 0.02);
+        assert!((location.u.cross(&location.v) - location.normal).norm() < 1e-9);
+        let point = location.surface(0.02, -0.01);
         assert!((point.at.z - 0.04).abs() < 1e-9 && (point.normal.z - 1.0).abs() < 1e-9);
     }
 }

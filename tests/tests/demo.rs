@@ -84,14 +84,17 @@ fn trainees_and_late_spectator_share_one_cut_tissue() {
     );
     assert_eq!(report.stress, 1);
     assert!(report.view_disagreement_mm.count > 0);
-    assert_eq!((report.network.dropped, report.network.reordered), (0, 0));
+    assert_eq!(
+        (report.network.total.dropped, report.network.total.reordered),
+        (0, 0)
+    );
 }
 
 #[test]
 fn topologies_are_equal_after_a_lossy_session() {
     let table = Table::new();
     let report = demo(&table, "lossy", "5", 0);
-    assert!(report.network.dropped > 0 && report.network.reordered > 0);
+    assert!(report.network.total.dropped > 0 && report.network.total.reordered > 0);
 }
 
 /// A busy process must not outlive the laboratory.

@@ -221,20 +221,20 @@ fn invalid_motion_error_names_the_line() {
     for (text, words) in [
         (
             format!("{head}0,0,0,0\n0.2,0,0,0\n0.1,0,0,0\n"),
-            ["line 4", "is not after 0.2 s"],
+            ["line 4", "is not later than the one before"],
         ),
         (
             format!("{head}0,0,0,0\n0.1,NaN,0,0\n"),
-            ["line 3", "x_m is NaN"],
+            ["line 3", "x_m is \"NaN\""],
         ),
-        (String::new(), ["it is empty", "time_s"]),
+        (String::new(), ["line 1 should name the columns", "time_s"]),
         (
             "time_s,x_m,y_m\n0,0,0\n".to_owned(),
-            ["line 1", "z_m is missing"],
+            ["line 1 should name the columns", "z_m"],
         ),
         (
             format!("{head}0,0,0,0\n"),
-            ["there are 1 rows", "at least 3"],
+            ["two moments or more", "here is 1"],
         ),
     ] {
         let motion = file(dir.path(), "motion.csv", &text);

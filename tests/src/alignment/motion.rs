@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use palpate_protocol::Pose;
 
-use crate::hand::{Hand, Random, Temper};
+use crate::hand::{Hand, HandParameters, Random};
 
 /// Endless back-and-forth motion along a recording, which is shorter than a session. A jump from end to
 /// start would be unrealistic.
@@ -35,7 +35,10 @@ impl Hand for ThereAndBack {
 pub(super) fn hands(motion: Option<&Arc<dyn Hand>>, seed: u64) -> [Arc<dyn Hand>; 2] {
     [0_u64, 1].map(|k| -> Arc<dyn Hand> {
         let Some(motion) = motion else {
-            return Arc::new(Random::new(Temper::default(), seed.wrapping_mul(2) + k));
+            return Arc::new(Random::new(
+                HandParameters::default(),
+                seed.wrapping_mul(2) + k,
+            ));
         };
         let length_s = motion.length_s();
         let half_s = if length_s.is_finite() {

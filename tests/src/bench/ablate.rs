@@ -12,6 +12,7 @@ use clap::Args;
 use palpate_tissue::{Budget, CutOutcome, Mechanism, Model, Shape, Solver, Tool, Topology, Vec3};
 use serde::Serialize;
 
+use super::Benchmark;
 use super::wound::Wound;
 use crate::progress::Progress;
 use crate::test_model::TestModel;
@@ -272,9 +273,9 @@ impl Course {
     }
 }
 
-/// Arguments of `ablate`.
-#[derive(Debug, Args)]
-pub struct Arguments {
+/// Options of `ablate`.
+#[derive(Debug, Clone, Args)]
+pub struct Ablate {
     /// Model files (.palp), scenes (.toml) or samples: thigh, abdominal-wall, leg, handle. The first is also cut
     #[arg(default_values_t = ["thigh".to_owned(), "abdominal-wall".to_owned()])]
     models: Vec<String>,
@@ -284,9 +285,6 @@ pub struct Arguments {
     /// Maximum iterations per step: a hand has 10, a view 1
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u8).range(1..=100))]
     iterations: u8,
-    /// Print one JSON object
-    #[arg(long)]
-    pub json: bool,
 }
 
 fn mechanism(name: &str) -> Result<Mechanism, String> {
@@ -304,40 +302,33 @@ pub struct Ablations {
     pub scenes: Vec<Ablation>,
 }
 
-/// Runs `ablate`.
-///
-/// # Errors
-///
-/// If a model cannot be read, has no location for a sphere, or the cut severs nothing.
-pub fn run(arguments: &Arguments) -> Result<Ablations, String> {
-    let dir = tempfile::tempdir()
-        .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
-    let mechanisms: &[Mechanism] = match &arguments.mechanisms[..] {
-        [] => Mechanism::ALL,
-        some => some,
-    };
-    let iterations = usize::from(arguments.iterations);
-    let mut progress = Progress::new();
-    let mut scenes = Vec::new();
-    for (index, name) in arguments.models.iter().enumerate() {
-        progress.stage(&format!("preparing \"{name}\""));
-        let place = dir.path().join(index.to_string());
-        std::fs::create_dir(&place).map_err(|e| format!("no temporary folder: {e}"))?;
-        let model = TestModel::prepare(name, &place).map_err(|e| e.to_string())?;
-        let mut ablate = |name: &str, cuts: bool| {
-            let model = Arc::clone(&model.model);
-            let run = || -> Result<Ablation, String> {
-                let course = Course::new(name, model, cuts)?;
-                Ok(course.ablate(mechanisms, iterations, &mut |stage| progress.tick(stage)))
-            };
-            super::on_threads(1, run)?
+impl Benchmark for Ablate {
+    type Report = Ablations;
+
+    fn measure(&self, progress: &mut Progress) -> Result<Ablations, String> {
+        let mechanisms: &[Mechanism] = match &self.mechanisms[..] {
+            [] => Mechanism::ALL,
+            some => some,
         };
-        scenes.push(ablate(name, false)?);
-        if index == 0 {
-            scenes.push(ablate(&format!("{name}, cut"), true)?);
+        let iterations = usize::from(self.iterations);
+        let mut scenes = Vec::new();
+        for (index, name) in self.models.iter().enumerate() {
+            let model = TestModel::in_memory(name, progress)?;
+            let mut ablate = |name: &str, cuts: bool| {
+                let model = Arc::clone(&model);
+                let run = || -> Result<Ablation, String> {
+                    let course = Course::new(name, model, cuts)?;
+                    Ok(course.ablate(mechanisms, iterations, &mut |stage| progress.tick(stage)))
+                };
+                super::on_threads(1, run)?
+            };
+            scenes.push(ablate(name, false)?);
+            if index == 0 {
+                scenes.push(ablate(&format!("{name}, cut"), true)?);
+            }
         }
+        Ok(Ablations { scenes })
     }
-    Ok(Ablations { scenes })
 }
 
 impl fmt::Display for Ablations {

@@ -10,16 +10,15 @@ use std::sync::Arc;
 use clap::Args;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use palpate_server::host::TICK_HZ;
-use palpate_tissue::{Model, Topology};
+use palpate_tissue::Model;
 use serde::Serialize;
 
-use super::quic;
+use super::{Benchmark, quic};
 use crate::network::{Direction, Profile};
 use crate::progress::Progress;
 use crate::scripts::{SECONDS_MIN, Scripts};
 use crate::simulated_session::{Part, Sent, SessionResult, SimulatedSession};
 use crate::test_model::TestModel;
-use crate::tool_location::ToolLocation;
 
 /// Maximum bandwidth of a full subscriber, kbit/s of UDP payload, uplink and downlink.
 pub const LIMIT_KBIT_S: [f64; 2] = [100.0, 150.0];
@@ -28,56 +27,36 @@ pub const LIMIT_KBIT_S: [f64; 2] = [100.0, 150.0];
 const DELAY_US: u32 = 60_000;
 const DELAY_CAP_US: u32 = 400_000;
 
-/// Arguments of `bench bytes`.
-#[derive(Debug, Args)]
-pub struct Arguments {
+/// Options of the bench.
+#[derive(Debug, Clone, Args)]
+pub struct Bytes {
     /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
     #[arg(long, default_value = "thigh")]
-    model: String,
+    pub model: String,
     /// Length of the scripts, s: presses, a cut, presses
     #[arg(long, default_value_t = 8.0, value_name = "S")]
-    seconds: f64,
+    pub seconds: f64,
     /// The network between the server and each trainee
     #[arg(long, default_value = "metro", value_parser = Profile::parse)]
-    profile: Profile,
+    pub profile: Profile,
     /// Seed of packet fates and clocks
     #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Print one JSON object
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// Runs `bench bytes`.
-pub fn run(arguments: &Arguments) -> Result<BytesReport, String> {
-    if !(SECONDS_MIN..=60.0).contains(&arguments.seconds) {
-        return Err(format!(
-            "--seconds {} must be from {SECONDS_MIN} to 60",
-            arguments.seconds
-        ));
-    }
-    let dir = tempfile::tempdir()
-        .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
-    let mut progress = Progress::new();
-    progress.stage(&format!("preparing the model \"{}\"", arguments.model));
-    let subject = TestModel::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
-    let bench = Bytes {
-        seconds: arguments.seconds,
-        profile: arguments.profile.clone(),
-        seed: arguments.seed,
-    };
-    bench.run(&subject.model, &mut |what| progress.tick(what))
-}
-
-/// Settings of the bench.
-#[derive(Debug, Clone)]
-pub struct Bytes {
-    /// Length of the scripts, s.
-    pub seconds: f64,
-    /// The network between the server and each trainee.
-    pub profile: Profile,
-    /// Seed of packet fates and clocks.
     pub seed: u64,
+}
+
+impl Benchmark for Bytes {
+    type Report = BytesReport;
+
+    fn measure(&self, progress: &mut Progress) -> Result<BytesReport, String> {
+        if !(SECONDS_MIN..=60.0).contains(&self.seconds) {
+            return Err(format!(
+                "--seconds {} must be from {SECONDS_MIN} to 60",
+                self.seconds
+            ));
+        }
+        let model = TestModel::in_memory(&self.model, progress)?;
+        self.run(&model, &mut |what| progress.tick(what))
+    }
 }
 
 /// One direction of one session, kbit/s.
@@ -144,10 +123,8 @@ impl Bytes {
         model: &Arc<Model>,
         progress: &mut dyn FnMut(&str),
     ) -> Result<BytesReport, String> {
-        let place =
-            ToolLocation::find(&Topology::new(Arc::clone(model))).map_err(|e| e.to_string())?;
-        let scripts = Scripts::for_place(&place, self.seconds).map_err(|e| e.to_string())?;
-        let rehearsal = SimulatedSession {
+        let scripts = Scripts::for_model(model, self.seconds)?;
+        let session = SimulatedSession {
             model,
             scripts: &[&scripts.holder, &scripts.cutter],
             profile: &self.profile,
@@ -162,11 +139,11 @@ impl Bytes {
             onlookers: 0,
             motion_only: false,
         };
-        let rehearsed = rehearsal.run(|done| {
-            progress(&format!("rehearsing: {:3.0} %", done * 100.0));
+        let simulated = session.run(|done| {
+            progress(&format!("simulating: {:3.0} %", done * 100.0));
             true
         })?;
-        if let Some(trouble) = rehearsed.troubles.first() {
+        if let Some(trouble) = simulated.troubles.first() {
             return Err(format!("the simulated session failed: {trouble}"));
         }
         let mut subscribers = Vec::new();
@@ -175,15 +152,15 @@ impl Bytes {
             .enumerate()
         {
             progress(&format!("sending again over QUIC: the trainee that {does}"));
-            subscribers.push(self.subscriber(&rehearsed, seat, does)?);
+            subscribers.push(self.subscriber(&simulated, seat, does)?);
         }
         let ok = subscribers.iter().flat_map(|s| &s.flows).all(|f| f.ok);
         Ok(BytesReport {
             nodes: model.nodes.len(),
             network: self.profile.name.clone(),
-            seconds: rehearsed.seconds,
-            method: "packets of a rehearsal in virtual time; what QUIC adds, from sending the same lengths at the same \
-                     moments over quinn through a relay",
+            seconds: simulated.seconds,
+            method: "packets of a simulated session; QUIC overhead measured by sending the same lengths at the same \
+                     times over quinn through a relay",
             subscribers,
             ok,
         })
@@ -191,14 +168,14 @@ impl Bytes {
 
     fn subscriber(
         &self,
-        rehearsed: &SessionResult,
+        simulated: &SessionResult,
         seat: usize,
         does: &'static str,
     ) -> Result<Subscriber, String> {
-        let own = rehearsed.sent.iter().filter(|s| s.seat == seat);
+        let own = simulated.sent.iter().filter(|s| s.seat == seat);
         let own: Vec<Sent> = own.copied().collect();
         let udp = quic::send_again(&own, &self.profile, self.seed)?;
-        let seconds = rehearsed.seconds;
+        let seconds = simulated.seconds;
         let flow = |k: usize| {
             let direction = [Direction::Up, Direction::Down][k];
             Flow::of(&own, direction, seconds, udp[k], LIMIT_KBIT_S[k])

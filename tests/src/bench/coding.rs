@@ -10,6 +10,7 @@ use std::fmt;
 use std::io::Write as _;
 use std::sync::Arc;
 
+use clap::Args;
 use flate2::Compression;
 use flate2::write::DeflateEncoder;
 use nalgebra::{UnitQuaternion, Vector3};
@@ -20,7 +21,9 @@ use palpate_protocol::{Epoch, ParticipantId, Pose, ServerTime, Span, ToolSample,
 use palpate_tissue::{Budget, Material, Shape, Solver, Topology, Vec3, block};
 use serde::Serialize;
 
-use crate::hand::{Hand, Random, Temper};
+use super::Benchmark;
+use crate::hand::{Hand, HandParameters, Random};
+use crate::progress::Progress;
 
 /// New samples per batch; the last older one is repeated.
 const BATCH: usize = 4;
@@ -49,13 +52,23 @@ const LEVELS: [u32; 2] = [1, 9];
 /// Rotation per travel of the hand, rad/m.
 const TURN_RAD_PER_M: f64 = 8.0;
 
-/// Settings of the bench.
-#[derive(Debug, Clone, Copy)]
+/// Options of the bench.
+#[derive(Debug, Clone, Copy, Args)]
 pub struct Coding {
-    /// Round trip, ms.
+    /// Round trip after which both ends know the sent data, in ms
+    #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(i64).range(0..=400))]
     pub round_trip_ms: i64,
-    /// Seed of the hand.
+    /// Seed of the hand
+    #[arg(long, default_value_t = 1)]
     pub seed: u64,
+}
+
+impl Benchmark for Coding {
+    type Report = CodingReport;
+
+    fn measure(&self, _: &mut Progress) -> Result<CodingReport, String> {
+        self.run()
+    }
 }
 
 /// Bits per pose or node, headers included.
@@ -212,8 +225,8 @@ impl Coding {
     }
 
     fn motion(&self) -> Result<Sums, String> {
-        let place = Random::new(Temper::default(), self.seed);
-        let turn = Random::new(Temper::default(), self.seed.wrapping_add(1));
+        let place = Random::new(HandParameters::default(), self.seed);
+        let turn = Random::new(HandParameters::default(), self.seed.wrapping_add(1));
         let sample = |ms: i64| {
             let t_s = ms as f64 * 1e-3;
             let axis = Vector3::from(turn.at(t_s).position_m) * TURN_RAD_PER_M;

@@ -30,30 +30,10 @@ use palpate_site::{
 use palpate_tissue::{Budget, Model, Topology, cut};
 use serde::Serialize;
 
-use super::quantile;
+use super::{Benchmark, quantile};
 use crate::progress::Progress;
 use crate::test_model::TestModel;
 use crate::tool_location::ToolLocation;
-
-/// Arguments of `bench cuts`.
-#[derive(Debug, Args)]
-pub struct Arguments {
-    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
-    #[arg(default_value = "thigh")]
-    model: String,
-    /// Number of cuts
-    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=100))]
-    cuts: u16,
-    /// Time from the arrival of a cut to its due time, ms: the artificial delay
-    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(0..=400))]
-    delay_ms: u16,
-    /// Depth of the press, mm
-    #[arg(long, default_value_t = 8.0)]
-    depth_mm: f64,
-    /// Print one JSON object
-    #[arg(long)]
-    pub json: bool,
-}
 
 /// Radius of the probe, m.
 const RADIUS_M: f64 = 8e-3;
@@ -83,38 +63,34 @@ const POINTS: usize = 20;
 const ME: ParticipantId = ParticipantId(1);
 const SURGEON: ParticipantId = ParticipantId(2);
 
-/// Runs `bench cuts`.
-///
-/// # Errors
-///
-/// If the model, a location to press and cut, or a thread is missing.
-pub fn run(arguments: &Arguments) -> Result<CutsReport, String> {
-    if !(0.5..=30.0).contains(&arguments.depth_mm) {
-        let depth = arguments.depth_mm;
-        return Err(format!("--depth-mm {depth} must be from 0.5 to 30"));
-    }
-    let dir = tempfile::tempdir()
-        .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
-    let mut progress = Progress::new();
-    progress.stage(&format!("preparing the model \"{}\"", arguments.model));
-    let subject = TestModel::prepare(&arguments.model, dir.path()).map_err(|e| e.to_string())?;
-    let bench = Cuts {
-        cuts: usize::from(arguments.cuts),
-        delay: Span::from_millis(i64::from(arguments.delay_ms)),
-        depth_m: arguments.depth_mm * 1e-3,
-    };
-    bench.run(&subject.model, &mut |what| progress.stage(what))
+/// Options of the bench.
+#[derive(Debug, Clone, Args)]
+pub struct CutLoad {
+    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
+    #[arg(default_value = "thigh")]
+    model: String,
+    /// Number of cuts
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=100))]
+    cuts: u16,
+    /// Time from the arrival of a cut to its due time, ms: the artificial delay
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(0..=400))]
+    delay_ms: u16,
+    /// Depth of the press, mm
+    #[arg(long, default_value_t = 8.0)]
+    depth_mm: f64,
 }
 
-/// Settings of the bench.
-#[derive(Debug, Clone)]
-pub struct Cuts {
-    /// Number of cuts.
-    pub cuts: usize,
-    /// Time from the arrival of a cut to its due time.
-    pub delay: Span,
-    /// Depth of the press, m.
-    pub depth_m: f64,
+impl Benchmark for CutLoad {
+    type Report = CutsReport;
+
+    fn measure(&self, progress: &mut Progress) -> Result<CutsReport, String> {
+        if !(0.5..=30.0).contains(&self.depth_mm) {
+            let depth = self.depth_mm;
+            return Err(format!("--depth-mm {depth} must be from 0.5 to 30"));
+        }
+        let model = TestModel::in_memory(&self.model, progress)?;
+        self.run(&model, &mut |what| progress.stage(what))
+    }
 }
 
 /// Processor time per work item, ms.
@@ -193,7 +169,7 @@ struct Step {
     at: ServerTime,
 }
 
-impl Cuts {
+impl CutLoad {
     /// Runs the bench.
     ///
     /// # Errors
@@ -204,11 +180,13 @@ impl Cuts {
         model: &Arc<Model>,
         progress: &mut dyn FnMut(&str),
     ) -> Result<CutsReport, String> {
+        let cuts = usize::from(self.cuts);
+        let delay = Span::from_millis(i64::from(self.delay_ms));
         let topology = Topology::new(Arc::clone(model));
-        let place = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
+        let location = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
         progress("making the cuts");
-        let mut operations = self.operations(topology.clone(), &place)?;
-        let mut site = Site::new(&welcome(&topology, self.delay), Arc::clone(model), None);
+        let mut operations = operations(cuts, topology.clone(), &location)?;
+        let mut site = Site::new(&welcome(&topology, delay), Arc::clone(model), None);
         let mut now = ClientTime::ZERO;
         for event in [
             ClientEvent::CaughtUp,
@@ -221,17 +199,17 @@ impl Cuts {
         progress("pressing");
         let steps_apart = APART_MS * 1000 / HAPTIC_PERIOD.as_micros();
         let (mut due, mut steps, mut views) = (Vec::new(), Vec::new(), Vec::new());
-        for k in 1..steps_apart * (self.cuts as i64 + 1) {
+        for k in 1..steps_apart * (i64::from(self.cuts) + 1) {
             now = now + HAPTIC_PERIOD;
             if k % steps_apart == 0 {
                 let operation = &mut operations[due.len()];
                 operation.at = ServerTime::from_micros(now.as_micros());
-                due.push(operation.at + self.delay);
+                due.push(operation.at + delay);
                 let event = ClientEvent::Operation(operation.clone());
                 site.handle_event(event, now).map_err(|e| e.to_string())?;
             }
             let news = worker.work(now)?;
-            let pose = self.pose(&place, now.as_micros() as f64 * 1e-6);
+            let pose = self.pose(&location, now.as_micros() as f64 * 1e-6);
             let step =
                 Step::make(&mut site, &mut worker, news, pose, now).map_err(|e| e.to_string())?;
             steps.push(step);
@@ -259,70 +237,70 @@ impl Cuts {
         ))
     }
 
-    /// Cuts beside the press as log operations, with the resulting hashes.
-    fn operations(
-        &self,
-        mut topology: Topology,
-        place: &ToolLocation,
-    ) -> Result<Vec<Operation>, String> {
-        let mut operations = Vec::new();
-        let spacing = place.spacing_m;
-        // Candidates on both sides of the press, at increasing distances.
-        for i in 0.. {
-            if operations.len() == self.cuts {
-                break;
-            }
-            if i == 20 * self.cuts {
-                let (made, wanted) = (operations.len(), self.cuts);
-                return Err(format!(
-                    "the model has room for only {made} of {wanted} cuts"
-                ));
-            }
-            let side = if i % 2 == 0 { 1.0 } else { -1.0 };
-            let (row, along) = (i / 2 % 4, i / 8);
-            let across = side * (BESIDE_M + 1.5 * spacing * row as f64);
-            let start = (along as f64 - 2.0) * (CUT_LENGTH_M / 2.0);
-            let points = (0..=POINTS).map(|k| {
-                let s = start + CUT_LENGTH_M * (k as f64 / POINTS as f64 - 0.5);
-                let tip = place.surface(across, s).at - place.normal * CUT_DEPTH_M;
-                BladePoint {
-                    tip_m: tip.into(),
-                    axis: place.normal.into(),
-                    depth_m: CUT_DEPTH_M + OUTSIDE_M,
-                }
-            });
-            let stroke = CutStroke {
-                points: points.collect(),
-                width_m: 0.0,
-            };
-            let before = topology.version();
-            if cut(&mut topology, &tissue_stroke(&stroke)).is_err() {
-                continue;
-            }
-            operations.push(Operation {
-                id: OperationId(operations.len() as u64),
-                at: ServerTime::ZERO,
-                author: SURGEON,
-                topology_version_before: before,
-                topology_version_after: topology.version(),
-                hash_after: TopologyHash(topology.hash().0),
-                kind: OperationKind::Cut(stroke),
-            });
-        }
-        Ok(operations)
-    }
-
     /// Probe pose at `t` seconds after the beginning.
-    fn pose(&self, place: &ToolLocation, t: f64) -> Pose {
+    fn pose(&self, location: &ToolLocation, t: f64) -> Pose {
         let wave = |(amplitude, hz): (f64, f64)| amplitude * (std::f64::consts::TAU * hz * t).sin();
         let reached = (t / 0.15).min(1.0);
-        let depth = self.depth_m * (2.0 * reached - 1.0) + wave(TREMOR);
-        let along = place.v * wave(SLIDE);
+        let depth = self.depth_mm * 1e-3 * (2.0 * reached - 1.0) + wave(TREMOR);
+        let along = location.v * wave(SLIDE);
         Pose {
-            position: place.middle + along + place.normal * (RADIUS_M - depth),
+            position: location.middle + along + location.normal * (RADIUS_M - depth),
             ..Pose::default()
         }
     }
+}
+
+/// Cuts beside the press as log operations, with the resulting hashes.
+fn operations(
+    wanted: usize,
+    mut topology: Topology,
+    location: &ToolLocation,
+) -> Result<Vec<Operation>, String> {
+    let mut operations = Vec::new();
+    let spacing = location.spacing_m;
+    // Candidates on both sides of the press, at increasing distances.
+    for i in 0.. {
+        if operations.len() == wanted {
+            break;
+        }
+        if i == 20 * wanted {
+            let made = operations.len();
+            return Err(format!(
+                "the model has room for only {made} of {wanted} cuts"
+            ));
+        }
+        let side = if i % 2 == 0 { 1.0 } else { -1.0 };
+        let (row, along) = (i / 2 % 4, i / 8);
+        let across = side * (BESIDE_M + 1.5 * spacing * row as f64);
+        let start = (along as f64 - 2.0) * (CUT_LENGTH_M / 2.0);
+        let points = (0..=POINTS).map(|k| {
+            let s = start + CUT_LENGTH_M * (k as f64 / POINTS as f64 - 0.5);
+            let tip = location.surface(across, s).at - location.normal * CUT_DEPTH_M;
+            BladePoint {
+                tip_m: tip.into(),
+                axis: location.normal.into(),
+                depth_m: CUT_DEPTH_M + OUTSIDE_M,
+            }
+        });
+        let stroke = CutStroke {
+            points: points.collect(),
+            width_m: 0.0,
+        };
+        let before = topology.version();
+        if cut(&mut topology, &tissue_stroke(&stroke)).is_err() {
+            continue;
+        }
+        operations.push(Operation {
+            id: OperationId(operations.len() as u64),
+            at: ServerTime::ZERO,
+            author: SURGEON,
+            topology_version_before: before,
+            topology_version_after: topology.version(),
+            hash_after: TopologyHash(topology.hash().0),
+            kind: OperationKind::Cut(stroke),
+        });
+    }
+    Ok(operations)
 }
 
 fn welcome(topology: &Topology, delay: Span) -> Welcome {

@@ -9,6 +9,7 @@
 use std::fmt;
 use std::time::Instant;
 
+use clap::Args;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use palpate_device::backend::five_dof;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
@@ -17,6 +18,9 @@ use palpate_device::{DeviceCaps, DeviceTime, HapticDevice, Pose, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 use palpate_protocol::ClientTime;
 use serde::Serialize;
+
+use super::Benchmark;
+use crate::progress::Progress;
 
 /// Untimed ticks at the beginning: the soft start.
 const WARM: usize = 2000;
@@ -27,11 +31,20 @@ const CONTACTS: [usize; 3] = [1, 4, 16];
 /// Length of a line, m.
 const LENGTH_M: f64 = 0.04;
 
-/// Settings of the bench.
-#[derive(Debug, Clone, Copy)]
+/// Options of the bench.
+#[derive(Debug, Clone, Copy, Args)]
 pub struct HapticTick {
-    /// Ticks per device and tool.
-    pub ticks: usize,
+    /// Ticks of each device
+    #[arg(long, default_value_t = 200_000, value_parser = clap::value_parser!(u32).range(1000..=100_000_000))]
+    pub ticks: u32,
+}
+
+impl Benchmark for HapticTick {
+    type Report = HapticTickReport;
+
+    fn measure(&self, _: &mut Progress) -> Result<HapticTickReport, String> {
+        self.run()
+    }
 }
 
 /// Times of a part of a tick, µs.
@@ -83,7 +96,7 @@ pub struct Times {
 #[derive(Debug, Clone, Serialize)]
 pub struct HapticTickReport {
     /// Ticks per device and tool.
-    pub ticks: usize,
+    pub ticks: u32,
     /// One row per device and tool.
     pub devices: Vec<Times>,
 }
@@ -119,9 +132,9 @@ impl HapticTick {
         device.enable_forces(true).map_err(|e| e.to_string())?;
         let mut chain = Chain::new(ChainConfig::default(), device.caps());
         let mut model = ContactModel::FREE;
-        let mut whole = Vec::with_capacity(self.ticks);
-        let mut alone = Vec::with_capacity(self.ticks);
-        for tick in 0..self.ticks + WARM {
+        let mut whole = Vec::with_capacity(self.ticks as usize);
+        let mut alone = Vec::with_capacity(self.ticks as usize);
+        for tick in 0..self.ticks as usize + WARM {
             let us = 1000 * tick as i64;
             let (device_now, now) = (DeviceTime::from_micros(us), ClientTime::from_micros(us));
             let began = Instant::now();

@@ -15,18 +15,42 @@ mod quic;
 pub mod reference;
 pub mod wound;
 
+use std::fmt::Display;
+
+use clap::Args;
+use serde::Serialize;
+
+use crate::progress::Progress;
+
+/// A benchmark with its options.
+pub trait Benchmark: Args {
+    /// Its figures.
+    type Report: Serialize + Display;
+
+    /// Runs it.
+    ///
+    /// # Errors
+    ///
+    /// If an option is out of range, or the model or the machine does not allow the measurement.
+    fn measure(&self, progress: &mut Progress) -> Result<Self::Report, String>;
+}
+
 /// Median of times in ms.
 fn median(times: &[f64]) -> f64 {
     quantile(times, 0.5)
 }
 
-/// The quantile `q` of times, in their unit.
+/// The quantile `q` of times, in their unit; NaN without times.
 pub(crate) fn quantile(times: &[f64], q: f64) -> f64 {
     let mut sorted = times.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let last = sorted.len().saturating_sub(1);
-    let at = ((sorted.len() as f64 * q).ceil() as usize).clamp(1, last + 1) - 1;
-    sorted.get(at).copied().unwrap_or(f64::NAN)
+    quantile_of_sorted(&sorted, q).unwrap_or(f64::NAN)
+}
+
+/// The smallest value that is not below a share `q` of the sorted values.
+pub(crate) fn quantile_of_sorted<T: Copy>(sorted: &[T], q: f64) -> Option<T> {
+    let rank = (sorted.len() as f64 * q).ceil() as usize;
+    sorted.get(rank.max(1) - 1).copied()
 }
 
 /// Runs a closure on this many threads.

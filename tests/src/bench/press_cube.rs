@@ -8,8 +8,12 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Instant;
 
+use clap::Args;
 use palpate_tissue::{Budget, Material, Shape, Solver, Topology, Vec3, block};
 use serde::Serialize;
+
+use super::{Benchmark, on_threads};
+use crate::progress::Progress;
 
 /// Side of the cube, m.
 const SIDE_M: f64 = 0.1;
@@ -35,15 +39,37 @@ const ITERATIONS_MAX: usize = 100;
 /// Timed runs; the median counts.
 const RUNS: usize = 5;
 
-/// Settings of the bench.
-#[derive(Debug, Clone, Copy)]
+/// Options of the bench.
+#[derive(Debug, Clone, Copy, Args)]
 pub struct PressCube {
-    /// Nodes per edge.
-    pub nodes: usize,
-    /// Poisson's ratio; 0.25 uses springs alone.
+    /// Nodes per edge: 20 makes 8,000 nodes, 40 64,000, 100 a million
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u16).range(4..=160))]
+    pub nodes: u16,
+    /// Threads
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub threads: u16,
+    /// Poisson's ratio, 0.25 to 0.49; 0.25 is springs alone
+    #[arg(long, default_value_t = 0.25)]
     pub poisson: f64,
-    /// Whether to run the moving press too.
+    /// Also press in ten steps of 0.1 mm
+    #[arg(long)]
     pub moving: bool,
+}
+
+impl Benchmark for PressCube {
+    type Report = PressCubeReport;
+
+    fn measure(&self, progress: &mut Progress) -> Result<PressCubeReport, String> {
+        if !(0.25..=0.49).contains(&self.poisson) {
+            return Err(format!(
+                "--poisson {} must be between 0.25 (springs alone) and 0.49",
+                self.poisson
+            ));
+        }
+        on_threads(usize::from(self.threads), || {
+            self.run(&mut |what| progress.stage(what))
+        })
+    }
 }
 
 /// Figures of a run.
@@ -162,7 +188,7 @@ impl PressCube {
     /// Runs the bench.
     pub fn run(&self, progress: &mut dyn FnMut(&str)) -> PressCubeReport {
         progress("making the cube");
-        let cube = Cube::new(self.nodes, self.poisson);
+        let cube = Cube::new(usize::from(self.nodes), self.poisson);
         let began = Instant::now();
         let first = Solver::new(&cube.topology);
         let setup_ms = began.elapsed().as_secs_f64() * 1e3;
@@ -188,7 +214,7 @@ impl PressCube {
             .map(|_| cube.cold(&first, iterations, TOLERANCE).2)
             .collect();
         PressCubeReport {
-            nodes: self.nodes.pow(3),
+            nodes: usize::from(self.nodes).pow(3),
             springs: cube.topology.springs().count(),
             poisson: self.poisson,
             setup_ms,

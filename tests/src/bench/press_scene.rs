@@ -8,10 +8,14 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Instant;
 
+use clap::Args;
 use palpate_tissue::{Budget, Model, Shape, Solver, StepReport, Tool, Topology};
 use serde::Serialize;
 
 use super::wound::Wound;
+use super::{Benchmark, on_threads};
+use crate::progress::Progress;
+use crate::test_model::TestModel;
 use crate::tool_location::ToolLocation;
 
 /// Radius of the sphere, m.
@@ -23,36 +27,67 @@ const REST: usize = 5;
 /// Minimum force for a relative error, N.
 const LEAST_N: f64 = 2e-3;
 
-/// Settings of the bench.
-#[derive(Debug, Clone, Copy)]
+/// Tolerance of a tick.
+const TOLERANCE: f64 = 2.5e-2;
+
+/// Options of the bench.
+#[derive(Debug, Clone, Args)]
 pub struct PressScene {
-    /// Depth, m.
-    pub depth_m: f64,
-    /// Speed, m/s.
-    pub speed_m_s: f64,
-    /// Time budget of a tick until its last iteration begins, ms.
-    pub budget_ms: f64,
-    /// Tolerance of a tick.
-    pub tolerance: f64,
-    /// Tolerance of the converged solution.
-    pub converged: f64,
-    /// Number of presses, each from rest.
-    pub repeats: usize,
-    /// Whether to press beside a fresh cut.
-    pub wound: bool,
+    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
+    #[arg(default_value = "thigh")]
+    model: String,
+    /// Depth, mm
+    #[arg(long, default_value_t = 15.0)]
+    depth_mm: f64,
+    /// Speed, mm/s
+    #[arg(long, default_value_t = 100.0)]
+    speed_mm_s: f64,
+    /// Time budget of a tick until its last iteration begins, ms
+    #[arg(long, default_value_t = 1.0)]
+    budget_ms: f64,
+    /// Tolerance of the converged solutions: 1e-3 leaves 0.2 % of the force, and takes minutes on half a
+    /// million nodes
+    #[arg(long, default_value_t = 1e-5)]
+    converged: f64,
+    /// Number of presses, each from rest
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    repeats: u16,
+    /// A second model, pressed alternately with the first; reports the ratio of their tick times
+    #[arg(long, value_name = "MODEL")]
+    against: Option<String>,
+    /// Cut through the tissue first, and press beside the wound
+    #[arg(long)]
+    wound: bool,
+    /// Threads
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: u16,
 }
 
-impl Default for PressScene {
-    fn default() -> Self {
-        Self {
-            depth_m: 15e-3,
-            speed_m_s: 0.1,
-            budget_ms: 1.0,
-            tolerance: 2.5e-2,
-            converged: 1e-5,
-            repeats: 5,
-            wound: false,
+impl Benchmark for PressScene {
+    type Report = Comparison;
+
+    fn measure(&self, progress: &mut Progress) -> Result<Comparison, String> {
+        for (name, value) in [
+            ("--depth-mm", self.depth_mm),
+            ("--speed-mm-s", self.speed_mm_s),
+            ("--budget-ms", self.budget_ms),
+        ] {
+            if !(value > 0.0 && value <= 1e4) {
+                return Err(format!("{name} {value} must be above 0 and at most 10000"));
+            }
         }
+        let converged = self.converged;
+        if !(1e-8..=1e-2).contains(&converged) {
+            return Err(format!("--converged {converged} must be from 1e-8 to 0.01"));
+        }
+        let mut models = Vec::new();
+        for name in std::iter::once(&self.model).chain(&self.against) {
+            models.push(TestModel::in_memory(name, progress)?);
+        }
+        let reports = on_threads(usize::from(self.threads), || {
+            self.run(models, &mut |what| progress.tick(what))
+        })?;
+        Comparison::of(reports?)
     }
 }
 
@@ -132,7 +167,7 @@ pub struct PressSceneReport {
 /// A model and its tool poses.
 struct Prepared {
     topology: Topology,
-    place: ToolLocation,
+    location: ToolLocation,
     first: Solver,
     setup_ms: f64,
     wound: Option<Wound>,
@@ -159,7 +194,7 @@ impl PressScene {
             models.into_iter().map(|m| self.prepare(m)).collect();
         let mut prepared = prepared?;
         // Presses first, so that the caches hold only what a session uses.
-        for repeat in 1..=self.repeats {
+        for repeat in 1..=usize::from(self.repeats) {
             progress(&format!("press {repeat} of {}", self.repeats));
             for model in &mut prepared {
                 self.press(model, repeat);
@@ -173,30 +208,31 @@ impl PressScene {
 
     fn prepare(&self, model: Arc<Model>) -> Result<Prepared, String> {
         let mut topology = Topology::new(model);
-        let mut place = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
+        let mut location = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
         let wound = if self.wound {
-            Some(Wound::open(&mut topology, &mut place)?)
+            Some(Wound::open(&mut topology, &mut location)?)
         } else {
             None
         };
         let began = Instant::now();
         let first = Solver::new(&topology);
         let setup_ms = began.elapsed().as_secs_f64() * 1e3;
-        place.sag(&topology, &first);
-        let moving = (self.depth_m / (self.speed_m_s * TICK_S)).ceil() as usize;
+        location.sag(&topology, &first);
+        let (depth_m, step_m) = (self.depth_mm * 1e-3, self.speed_mm_s * 1e-3 * TICK_S);
+        let moving = (depth_m / step_m).ceil() as usize;
         let tools = (1..=moving + REST)
             .map(|k| {
-                let depth = (k as f64 * self.speed_m_s * TICK_S).min(self.depth_m);
+                let depth = (k as f64 * step_m).min(depth_m);
                 Tool::ball(
                     1,
-                    place.middle + place.normal * (RADIUS_M - depth),
+                    location.middle + location.normal * (RADIUS_M - depth),
                     RADIUS_M,
                 )
             })
             .collect();
         Ok(Prepared {
             topology,
-            place,
+            location,
             first,
             setup_ms,
             wound,
@@ -208,7 +244,7 @@ impl PressScene {
 
     /// One press from rest, and the retraction.
     fn press(&self, model: &mut Prepared, repeat: usize) {
-        let (topology, place) = (&model.topology, &model.place);
+        let (topology, location) = (&model.topology, &model.location);
         let (mut hand, mut shape) = (model.first.another(topology), Shape::rest(topology));
         let out = (0..model.moving.saturating_sub(1)).rev();
         let ways = (0..model.tools.len()).map(|t| (t, false));
@@ -220,15 +256,15 @@ impl PressScene {
             let budget = Budget {
                 near: true,
                 stop: Some(&mut stop),
-                ..Budget::new(10, self.tolerance)
+                ..Budget::new(10, TOLERANCE)
             };
             let report = hand.step(topology, &mut shape, &[*tool], budget);
             model.ticks.push(Tick {
                 press: repeat,
                 draws_back,
                 tool: number,
-                depth_mm: (RADIUS_M - (tool.centre - place.middle).dot(&place.normal)) * 1e3,
-                force_n: along(report, place),
+                depth_mm: (RADIUS_M - (tool.centre - location.middle).dot(&location.normal)) * 1e3,
+                force_n: along(report, location),
                 ms: ms(),
                 iterations: report.iterations,
                 active: report.active_nodes,
@@ -246,7 +282,7 @@ impl PressScene {
             let budget = Budget::new(200, self.converged);
             let report = exact.step(topology, &mut shape, &[*tool], budget);
             for tick in model.ticks.iter_mut().filter(|t| t.tool == k) {
-                tick.converged_n = along(report, &model.place);
+                tick.converged_n = along(report, &model.location);
                 tick.error = (tick.force_n - tick.converged_n) / tick.converged_n.max(LEAST_N);
                 tick.converged_residual = report.residual;
             }
@@ -254,8 +290,8 @@ impl PressScene {
     }
 }
 
-fn along(report: &StepReport, place: &ToolLocation) -> f64 {
-    report.reactions[0].force.dot(&place.normal)
+fn along(report: &StepReport, location: &ToolLocation) -> f64 {
+    report.reactions[0].force.dot(&location.normal)
 }
 
 fn summary(model: Prepared) -> PressSceneReport {
@@ -281,39 +317,46 @@ fn summary(model: Prepared) -> PressSceneReport {
     }
 }
 
-/// Two models pressed alternately.
+/// Figures of a model, and of a second one pressed alternately.
 #[derive(Debug, Clone, Serialize)]
 pub struct Comparison {
     /// The model under test.
     #[serde(flatten)]
     pub report: PressSceneReport,
     /// The model it is compared with.
-    pub against: PressSceneReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub against: Option<PressSceneReport>,
     /// Times of the first model divided by those of the second: median and 99th percentile.
-    pub ratio: [f64; 2],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ratio: Option<[f64; 2]>,
 }
 
 impl Comparison {
-    /// Compares two reports.
-    pub fn of(report: PressSceneReport, against: PressSceneReport) -> Self {
-        let ratio = [0, 1].map(|q| report.press.ms[q] / against.press.ms[q]);
-        Self {
+    fn of(reports: Vec<PressSceneReport>) -> Result<Self, String> {
+        let mut reports = reports.into_iter();
+        let report = reports.next().ok_or("no model to press")?;
+        let against = reports.next();
+        let ratio = (against.as_ref())
+            .map(|against| [0, 1].map(|q| report.press.ms[q] / against.press.ms[q]));
+        Ok(Self {
             report,
             against,
             ratio,
-        }
+        })
     }
 }
 
 impl fmt::Display for Comparison {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [p50, p99] = self.ratio;
-        writeln!(f, "{}", self.report)?;
-        writeln!(f, "against {}", self.against.figures())?;
-        write!(
-            f,
-            "a tick takes {p50:.2} times as long (p50), {p99:.2} times (p99)"
-        )
+        write!(f, "{}", self.report)?;
+        if let (Some(against), Some([p50, p99])) = (&self.against, self.ratio) {
+            write!(
+                f,
+                "\nagainst {}\na tick takes {p50:.2} times as long (p50), {p99:.2} times (p99)",
+                against.figures()
+            )?;
+        }
+        Ok(())
     }
 }
 

@@ -7,19 +7,19 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::Args;
-use palpate_tissue::{Model, Solver, Topology};
+use palpate_tissue::Model;
 use serde::Serialize;
 
+use super::Benchmark;
 use crate::force_error::ForceError;
 use crate::progress::Progress;
 use crate::reference::{self, CHECKS, Effort, MOVED_M, Reference};
 use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
 use crate::test_model::TestModel;
-use crate::tool_location::ToolLocation;
 
-/// Arguments of `bench reference`.
-#[derive(Debug, Args)]
-pub struct Arguments {
+/// Options of the bench.
+#[derive(Debug, Clone, Args)]
+pub struct ReferenceCost {
     /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
     #[arg(default_value = "thigh")]
     model: String,
@@ -29,9 +29,6 @@ pub struct Arguments {
     /// Also compute it with twice as many solves and four times as many checks, and compare
     #[arg(long)]
     finer: bool,
-    /// Print one JSON object
-    #[arg(long)]
-    pub json: bool,
 }
 
 /// Result.
@@ -57,59 +54,51 @@ pub struct ReferenceBench {
     pub finer_error_percent: Option<[f64; 2]>,
 }
 
-/// Runs `bench reference`.
-pub fn run(arguments: &Arguments) -> Result<ReferenceBench, String> {
-    let seconds = arguments.seconds;
-    if !(SECONDS_MIN..=SECONDS_MAX).contains(&seconds) {
-        return Err(format!(
-            "--seconds {seconds} must be from {SECONDS_MIN} to {SECONDS_MAX}"
-        ));
+impl Benchmark for ReferenceCost {
+    type Report = ReferenceBench;
+
+    fn measure(&self, progress: &mut Progress) -> Result<ReferenceBench, String> {
+        let seconds = self.seconds;
+        if !(SECONDS_MIN..=SECONDS_MAX).contains(&seconds) {
+            return Err(format!(
+                "--seconds {seconds} must be from {SECONDS_MIN} to {SECONDS_MAX}"
+            ));
+        }
+        let model = TestModel::in_memory(&self.model, progress)?;
+        let scripts = Scripts::for_model(&model, seconds)?;
+        let mut timed = |name: &str, effort: Effort| {
+            progress.stage(name);
+            time(&model, &scripts, &effort, progress)
+        };
+        let (reference, took_s) = timed("computing the reference", Effort::default())?;
+        let finer = if self.finer {
+            Some(timed(
+                "computing a finer reference",
+                Effort {
+                    moved_m: MOVED_M / 2.0,
+                    checks: CHECKS * 4,
+                },
+            )?)
+        } else {
+            None
+        };
+        let q = reference.quality;
+        let between = |k: usize, finer: &Reference| {
+            ForceError::between(&reference.forces[k], &finer.forces[k])
+                .map_or(f64::NAN, |e| e.rms_percent)
+        };
+        Ok(ReferenceBench {
+            nodes: model.nodes.len(),
+            script_s: seconds,
+            seconds: took_s,
+            solves: q.solves,
+            checks: q.checks,
+            residual_max: q.residual_max,
+            error_percent: q.error_percent,
+            finer_error_percent: finer.as_ref().map(|(f, _)| [0, 1].map(|k| between(k, f))),
+            finer_seconds: finer.map(|(_, s)| s),
+        })
     }
-    let dir = tempfile::tempdir()
-        .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
-    let mut progress = Progress::new();
-    progress.stage(&format!("preparing the model \"{}\"", arguments.model));
-    let model = TestModel::prepare(&arguments.model, dir.path())
-        .map_err(|e| e.to_string())?
-        .model;
-    let topology = Topology::new(Arc::clone(&model));
-    let mut place = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
-    if model.gravity != [0.0; 3] {
-        place.sag(&topology, &Solver::new(&topology));
-    }
-    let scripts = Scripts::for_place(&place, seconds).map_err(|e| e.to_string())?;
-    let mut timed = |name: &str, effort: Effort| {
-        progress.stage(name);
-        time(&model, &scripts, &effort, &mut progress)
-    };
-    let (reference, took_s) = timed("computing the reference", Effort::default())?;
-    let finer = if arguments.finer {
-        Some(timed(
-            "computing a finer reference",
-            Effort {
-                moved_m: MOVED_M / 2.0,
-                checks: CHECKS * 4,
-            },
-        )?)
-    } else {
-        None
-    };
-    let q = reference.quality;
-    let between = |k: usize, finer: &Reference| {
-        ForceError::between(&reference.courses[k], &finer.courses[k])
-            .map_or(f64::NAN, |e| e.rms_percent)
-    };
-    Ok(ReferenceBench {
-        nodes: model.nodes.len(),
-        script_s: seconds,
-        seconds: took_s,
-        solves: q.solves,
-        checks: q.checks,
-        residual_max: q.residual_max,
-        error_percent: q.error_percent,
-        finer_error_percent: finer.as_ref().map(|(f, _)| [0, 1].map(|k| between(k, f))),
-        finer_seconds: finer.map(|(_, s)| s),
-    })
 }
 
 fn time(

@@ -37,22 +37,22 @@ impl Wound {
     /// # Errors
     ///
     /// If the cut severs nothing.
-    pub fn open(topology: &mut Topology, place: &mut ToolLocation) -> Result<Self, String> {
-        Self::open_with(topology, place).map(|(wound, _)| wound)
+    pub fn open(topology: &mut Topology, location: &mut ToolLocation) -> Result<Self, String> {
+        Self::open_with(topology, location).map(|(wound, _)| wound)
     }
 
     /// The same; also returns the outcome of the cut.
     pub(super) fn open_with(
         topology: &mut Topology,
-        place: &mut ToolLocation,
+        location: &mut ToolLocation,
     ) -> Result<(Self, CutOutcome), String> {
-        let depth = (DEPTH_SHARE * place.depth_m).min(DEPTH_MAX_M);
-        let length = (LENGTH_M * place.scale()).max(5.0 * place.spacing_m);
+        let depth = (DEPTH_SHARE * location.depth_m).min(DEPTH_MAX_M);
+        let length = (LENGTH_M * location.scale()).max(5.0 * location.spacing_m);
         let points = (0..=POINTS).map(|i| {
             let along = (i as f64 / POINTS as f64 - 0.5) * length;
             BladePoint {
-                tip: place.surface(0.0, along).at - place.normal * depth,
-                axis: place.normal,
+                tip: location.surface(0.0, along).at - location.normal * depth,
+                axis: location.normal,
                 depth_m: depth + OUTSIDE_M,
             }
         });
@@ -60,10 +60,10 @@ impl Wound {
             points: points.collect(),
             width_m: WIDTH_M,
         };
-        let beside = (BESIDE_M * place.scale()).max(2.0 * place.spacing_m);
-        let spot = place.spot(beside, 0.0, beside / 2.0);
+        let beside = (BESIDE_M * location.scale()).max(2.0 * location.spacing_m);
+        let spot = location.spot(beside, 0.0, beside / 2.0);
         let outcome = cut(topology, &stroke).map_err(|e| format!("no wound: {e}"))?;
-        (place.middle, place.normal) = (spot.at, spot.normal);
+        (location.middle, location.normal) = (spot.at, spot.normal);
         let regions = &topology.model().regions;
         let name = |id: &palpate_tissue::RegionId| regions[id.index()].name.clone();
         let wound = Self {
@@ -91,11 +91,11 @@ mod tests {
         let input = Sample::Thigh.input().unwrap();
         let (model, _) = build(&input, &mut |_, _| ()).unwrap();
         let mut topology = Topology::new(Arc::new(model));
-        let mut place = ToolLocation::find(&topology).unwrap();
-        let middle = place.middle;
-        let wound = Wound::open(&mut topology, &mut place).unwrap();
+        let mut location = ToolLocation::find(&topology).unwrap();
+        let middle = location.middle;
+        let wound = Wound::open(&mut topology, &mut location).unwrap();
         assert!(wound.doubled > 50, "{wound:?}");
         assert!(wound.regions.len() >= 2, "{wound:?}");
-        assert!((place.middle - middle).norm() > 0.008);
+        assert!((location.middle - middle).norm() > 0.008);
     }
 }

@@ -10,7 +10,6 @@ use palpate_tissue::{Material, ModelFile, block};
 
 use super::{Decoder, text};
 use crate::experiments::recipe::Recipe;
-use crate::hand::{Hand, Recorded};
 use crate::network::{Profile, Trace};
 
 /// Memory per byte of a text: number tables take several times their text size.
@@ -236,7 +235,9 @@ pub(super) const MOTION_TABLE: Decoder = Decoder {
     },
     examples: || {
         let table = "t_s,x_m,y_m,z_m,qw,qx,qy,qz,buttons\n0,0,0,0.1,1,0,0,0,0\n0.01,0,0,0.1,1,0,0,0,1\n0.02,0,0.001,0.1,1,0,0,0,1\n";
-        vec![table.as_bytes().to_vec()]
+        let hand =
+            "time_s,x_m,y_m,z_m\n0,0,0,0\n0.05,0.001,0,0\n0.1,0,0,0.002\n0.15,0,0,0\n0.2,0,0,0\n";
+        [table, hand].map(|table| table.as_bytes().to_vec()).into()
     },
     holds_max: of_text,
 };
@@ -252,28 +253,6 @@ pub(super) const MOTION_RECORDING: Decoder = Decoder {
         let json = "{\"script_started_us\":1000,\"haptic\":[{\"t_us\":1000,\"position_m\":[0,0,0.1],\"force_n\":[0,0,0]},\
                     {\"t_us\":5000,\"position_m\":[0,0,0.09],\"orientation\":[0,0,0,1],\"buttons\":1,\"force_n\":[0,0,1]}]}";
         vec![json.as_bytes().to_vec()]
-    },
-    holds_max: of_text,
-};
-
-pub(super) const HAND_TABLE: Decoder = Decoder {
-    name: "hand-table",
-    read: |bytes| {
-        text(bytes, |table| {
-            let Ok(hand) = Recorded::parse(table) else {
-                return false;
-            };
-            for k in 0..8 {
-                let pose = hand.at(hand.length_s() * f64::from(k) / 7.0);
-                assert!(pose.position_m.iter().all(|x| x.is_finite()), "{pose:?}");
-            }
-            true
-        })
-    },
-    examples: || {
-        let table =
-            "time_s,x_m,y_m,z_m\n0,0,0,0\n0.05,0.001,0,0\n0.1,0,0,0.002\n0.15,0,0,0\n0.2,0,0,0\n";
-        vec![table.as_bytes().to_vec()]
     },
     holds_max: of_text,
 };

@@ -39,7 +39,6 @@ pub const ALL: &[Decoder] = &[
     files::SCRIPT,
     files::MOTION_TABLE,
     files::MOTION_RECORDING,
-    files::HAND_TABLE,
     files::PROFILE,
     files::TRACE,
     files::RECIPE,

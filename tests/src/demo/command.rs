@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::Args;
 
 use super::DemoOptions;
-use crate::cli::{networks, note, say};
+use crate::cli::{networks, note, print_line};
 use crate::network::Profile;
 use crate::progress::{Interrupt, Progress};
 use crate::stress::PROCESSES_MAX;
@@ -106,9 +106,9 @@ pub(crate) fn run(arguments: Arguments) -> Result<ExitCode, String> {
     drop(progress);
     if arguments.json {
         let json = serde_json::to_string(&report).expect("a report is plain data");
-        say(&json)?;
+        print_line(&json)?;
     } else {
-        say(&format!("\n{}", report.summary()))?;
+        print_line(&format!("\n{}", report.summary()))?;
     }
     if let Some(dir) = &options.report {
         note(&format!(

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use serde_json::{Value, json};
 
-use super::{Bench, Outcome, line};
+use super::{Bench, Outcome, Table};
 use crate::alignment::two_sites::Moment;
 use crate::alignment::{Alignment, Figures, Mode};
 use crate::chart::{BLUE, Chart, Line, ORANGE, Panel};
@@ -19,13 +19,6 @@ const SESSIONS: f64 = 12.0;
 
 /// Drawn seconds of a quantity that changes with each packet; a longer plot would be a solid bar.
 const DRAWN_S: f64 = 1.0;
-
-fn profile(bench: &Bench<'_>) -> Result<Profile, String> {
-    match &bench.profile {
-        Some(profile) => Ok(profile.clone()),
-        None => Profile::named(PROFILE).map_err(|e| e.to_string()),
-    }
-}
 
 /// Runs an alignment without compensation.
 pub(super) fn none(bench: &mut Bench<'_>) -> Result<Outcome, String> {
@@ -42,17 +35,18 @@ pub(super) fn adaptive(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     aligned(bench, "adaptive")
 }
 
-/// Runs an alignment with server-side prediction, the alternative reading of the source.
+/// Runs an alignment with server-side prediction, an alternative interpretation of the source.
 pub(super) fn predicted(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     aligned(bench, "predicted")
 }
 
 /// An alignment with the selected network and motion.
 fn alignment(bench: &Bench<'_>, profile: &Profile, seed: u64) -> Alignment {
+    let motion = bench.inputs.motion.clone();
     Alignment {
         profile: profile.clone(),
         seed,
-        motion: bench.motion.clone().map(|m| m as Arc<dyn Hand>),
+        motion: motion.map(|motion| -> Arc<dyn Hand> { motion }),
     }
 }
 
@@ -69,7 +63,7 @@ fn refuse_silence(alignment: &Alignment, network: &str) -> Result<(), String> {
 }
 
 /// Results of one seed.
-struct Seen {
+struct SeedResult {
     safe_ms: Option<u32>,
     moments: Vec<Moment>,
     figures: Figures,
@@ -83,23 +77,23 @@ struct Seen {
     ahead_ms: f64,
 }
 
-impl Seen {
+impl SeedResult {
     fn of(
         alignment: &Alignment,
         name: &str,
         network: &str,
-        told: &mut dyn FnMut(&str, f64),
+        report: &mut dyn FnMut(&str, f64),
     ) -> Result<Self, String> {
         refuse_silence(alignment, network)?;
         let mut tried = 0.0;
         let safe_ms = alignment.smallest_safe_fixed_ms(&mut |ms| {
-            told(
+            report(
                 &format!("trying a fixed delay of {ms} ms"),
                 tried / SESSIONS,
             );
             tried = f64::min(tried + 1.0, SESSIONS - 1.0);
         });
-        told("aligning", tried / SESSIONS);
+        report("aligning", tried / SESSIONS);
         let mode = match name {
             "none" => Mode::None,
             "fixed" => Mode::Fixed(safe_ms.ok_or_else(|| {
@@ -155,23 +149,23 @@ impl Seen {
 }
 
 /// Combines several seeds: root of the mean square, worst 95th percentile and maximum, sums of counts.
-fn all_seeds(seen: &[Seen], name: &str, network: &str, first_seed: u64) -> Value {
-    let n = seen.len().max(1) as f64;
-    let most = |of: fn(&Seen) -> f64| seen.iter().map(of).fold(0.0, f64::max);
-    let sum = |of: fn(&Seen) -> f64| seen.iter().map(of).sum::<f64>();
+fn all_seeds(results: &[SeedResult], name: &str, network: &str, first_seed: u64) -> Value {
+    let n = results.len().max(1) as f64;
+    let most = |of: fn(&SeedResult) -> f64| results.iter().map(of).fold(0.0, f64::max);
+    let sum = |of: fn(&SeedResult) -> f64| results.iter().map(of).sum::<f64>();
     let rms = (sum(|s| s.figures.disagreement_mm.rms.powi(2)) / n).sqrt();
     let none_rms = (sum(|s| s.none_rms_mm.powi(2)) / n).sqrt();
     let mean_ms = sum(|s| s.figures.compensation_ms.mean) / n;
-    let safe: Option<Vec<u32>> = seen.iter().map(|s| s.safe_ms).collect();
+    let safe: Option<Vec<u32>> = results.iter().map(|s| s.safe_ms).collect();
     let safe_mean_ms = safe
         .as_ref()
         .map(|s| s.iter().map(|&ms| f64::from(ms)).sum::<f64>() / n);
-    let rows = (first_seed..).zip(seen);
+    let rows = (first_seed..).zip(results);
     json!({
         "mode": name,
         "profile": network,
         "seed": first_seed,
-        "seeds": seen.len(),
+        "seeds": results.len(),
         "disagreement_mm": {
             "rms": rms,
             "p95": most(|s| s.figures.disagreement_mm.p95),
@@ -179,8 +173,8 @@ fn all_seeds(seen: &[Seen], name: &str, network: &str, first_seed: u64) -> Value
         },
         "compensation_ms": { "mean": mean_ms, "p95": most(|s| s.figures.compensation_ms.p95) },
         "smallest_safe_fixed_ms": safe.and_then(|s| s.into_iter().max()),
-        "corrections_over_1mm": seen.iter().map(|s| s.figures.corrections_over_1mm).sum::<u64>(),
-        "stale_ticks": seen.iter().map(|s| s.figures.stale_ticks).sum::<u64>(),
+        "corrections_over_1mm": results.iter().map(|s| s.figures.corrections_over_1mm).sum::<u64>(),
+        "stale_ticks": results.iter().map(|s| s.figures.stale_ticks).sum::<u64>(),
         "lag_over_smallest_safe": safe_mean_ms.filter(|&ms| ms > 0.0).map(|ms| mean_ms / ms),
         "times_nearer_than_none": none_rms / rms.max(f64::MIN_POSITIVE),
         "fixed_at_equal_lag_mm": {
@@ -192,27 +186,27 @@ fn all_seeds(seen: &[Seen], name: &str, network: &str, first_seed: u64) -> Value
 }
 
 fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
-    let profile = profile(bench)?;
-    let seeds = bench.seeds.unwrap_or(1);
-    let mut seen = Vec::new();
+    let profile = bench.profile_or(PROFILE)?;
+    let seeds = bench.inputs.seeds.unwrap_or(1);
+    let mut results = Vec::new();
     for k in 0..seeds {
-        let alignment = alignment(bench, &profile, bench.seed.wrapping_add(k));
-        let mut told = |what: &str, share: f64| {
+        let alignment = alignment(bench, &profile, bench.seed().wrapping_add(k));
+        let mut report = |what: &str, share: f64| {
             let what = format!("seed {} of {seeds}, {what}", k + 1);
             (bench.progress)(&what, (k as f64 + share) / seeds as f64);
         };
-        let mut one = Seen::of(&alignment, name, &profile.name, &mut told)?;
+        let mut one = SeedResult::of(&alignment, name, &profile.name, &mut report)?;
         if k > 0 {
             // Only the first seed is drawn; the moments of 1000 seeds would take gigabytes.
             one.moments = Vec::new();
         }
-        seen.push(one);
+        results.push(one);
     }
-    let value = match seen.as_slice() {
-        [one] => one.json(name, &profile.name, bench.seed),
-        all => all_seeds(all, name, &profile.name, bench.seed),
+    let value = match results.as_slice() {
+        [one] => one.json(name, &profile.name, bench.seed()),
+        all => all_seeds(all, name, &profile.name, bench.seed()),
     };
-    let moments = &seen[0].moments;
+    let moments = &results[0].moments;
     let panels = alignment_panels(moments, name);
     Ok(Outcome {
         caption: format!(
@@ -237,8 +231,8 @@ fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
 /// Time from a motion to its view at the other site: the network delay without compensation, the playout
 /// delay with it.
 pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
-    let profile = profile(bench)?;
-    let alignment = alignment(bench, &profile, bench.seed);
+    let profile = bench.profile_or(PROFILE)?;
+    let alignment = alignment(bench, &profile, bench.seed());
     (bench.progress)("aligning", 0.0);
     refuse_silence(&alignment, &profile.name)?;
     let (without, with) = both(&alignment);
@@ -255,19 +249,20 @@ pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     let figures = json!({
         "profile": profile.name,
-        "seed": bench.seed,
+        "seed": bench.seed(),
         "without_ms": { "mean": mean(&age), "deviation": spread(&age) },
         "with_ms": { "mean": mean(&delay), "deviation": spread(&delay) },
     });
-    let panels = vec![Panel {
-        title: "delay of the view at the other site".to_owned(),
-        y_label: "age of the shown sample / ms".to_owned(),
-        lines: vec![
-            line("without compensation", ORANGE, first_seconds(&age)),
-            line("with", BLUE, first_seconds(&delay)),
-        ],
-        scale: crate::chart::Scale::Linear,
-    }];
+    let lines = [
+        Line::new("without compensation", ORANGE, first_seconds(&age)),
+        Line::new("with", BLUE, first_seconds(&delay)),
+    ];
+    let panel_title = "delay of the view at the other site";
+    let panels = vec![Panel::new(
+        panel_title,
+        "age of the shown sample / ms",
+        lines,
+    )];
     Ok(Outcome {
         caption: format!(
             "Age of the newest sample at the other site over the network {}, and of the shown sample under \
@@ -285,8 +280,8 @@ pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
 
 /// Jitter of a tool at the other site: the second difference of the shown position over 1 ms.
 pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
-    let profile = profile(bench)?;
-    let alignment = alignment(bench, &profile, bench.seed);
+    let profile = bench.profile_or(PROFILE)?;
+    let alignment = alignment(bench, &profile, bench.seed());
     (bench.progress)("aligning", 0.0);
     refuse_silence(&alignment, &profile.name)?;
     let (without, with) = both(&alignment);
@@ -296,20 +291,22 @@ pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     };
     let figures = json!({
         "profile": profile.name,
-        "seed": bench.seed,
+        "seed": bench.seed(),
         "without_um": rms(&without),
         "with_um": rms(&with),
     });
+    let without_line = Line::new("shaking", ORANGE, first_seconds(&without));
+    let with_line = Line::new("shaking", BLUE, first_seconds(&with));
     let panels = vec![
-        panel(
+        Panel::new(
             "without compensation",
             "second difference / µm",
-            line("shaking", ORANGE, first_seconds(&without)),
+            [without_line],
         ),
-        panel(
+        Panel::new(
             "with adaptive compensation",
             "second difference / µm",
-            line("shaking", BLUE, first_seconds(&with)),
+            [with_line],
         ),
     ];
     Ok(Outcome {
@@ -352,57 +349,40 @@ fn shaking(moments: &[Moment]) -> Vec<(f64, f64)> {
 
 /// Panels of the disagreement and of the delay or prediction horizon, if any.
 fn alignment_panels(moments: &[Moment], name: &str) -> Vec<Panel> {
-    let course = |of: fn(&Moment) -> f64| moments.iter().map(|m| (m.time_s, of(m))).collect();
-    let mut panels = vec![panel(
-        "disagreement of the two sites",
-        "distance / mm",
-        line("disagreement", ORANGE, course(Moment::apart_mm)),
-    )];
+    let line = |name: &str, colour, of: fn(&Moment) -> f64| {
+        Line::new(name, colour, moments.iter().map(|m| (m.time_s, of(m))))
+    };
+    let disagreement = line("disagreement", ORANGE, Moment::apart_mm);
+    let title = "disagreement of the two sites";
+    let mut panels = vec![Panel::new(title, "distance / mm", [disagreement])];
     match name {
         "none" => {}
-        "predicted" => panels.push(panel(
-            "horizon of the server's prediction",
-            "ahead / ms",
-            line("A", BLUE, course(|m| m.ahead_ms)),
-        )),
-        _ => panels.push(panel(
-            "playout delay",
-            "delay / ms",
-            line("D", BLUE, course(|m| m.delay_ms)),
-        )),
+        "predicted" => {
+            let horizon = line("A", BLUE, |m| m.ahead_ms);
+            let title = "horizon of the server's prediction";
+            panels.push(Panel::new(title, "ahead / ms", [horizon]));
+        }
+        _ => {
+            let delay = line("D", BLUE, |m| m.delay_ms);
+            panels.push(Panel::new("playout delay", "delay / ms", [delay]));
+        }
     }
     panels
 }
 
-fn panel(title: &str, y_label: &str, line: Line) -> Panel {
-    Panel {
-        title: title.to_owned(),
-        y_label: y_label.to_owned(),
-        lines: vec![line],
-        scale: crate::chart::Scale::Linear,
-    }
-}
-
 fn chart(title: &str, panels: Vec<Panel>) -> Chart {
-    Chart {
-        title: title.to_owned(),
-        x_label: "session time / s".to_owned(),
-        panels,
-        marks: Vec::new(),
-    }
+    Chart::new(title, "session time / s", panels)
 }
 
-fn table(moments: &[Moment]) -> String {
-    let mut table = String::from("time_s,disagreement_mm,delay_ms,age_ms\n");
+fn table(moments: &[Moment]) -> Table {
+    let mut table = Table::new("time_s,disagreement_mm,delay_ms,age_ms");
     for m in moments.iter().step_by(10) {
-        let row = format!(
-            "{:.3},{:.5},{:.3},{:.3}\n",
-            m.time_s,
-            m.apart_mm(),
-            m.delay_ms,
-            m.age_ms
-        );
-        table.push_str(&row);
+        table.rows.push(vec![
+            format!("{:.3}", m.time_s),
+            format!("{:.5}", m.apart_mm()),
+            format!("{:.3}", m.delay_ms),
+            format!("{:.3}", m.age_ms),
+        ]);
     }
     table
 }

@@ -1,27 +1,26 @@
 //! Benchmarks on the page of all experiments.
 
-use std::fmt::Write as _;
-use std::path::Path;
-
 use serde::Serialize;
+use serde_json::{Value, json};
 
-use super::Outcome;
-use super::cells::of_file;
-use super::command::SEED;
-use crate::bench::bytes::{Bytes, BytesReport, Flow};
-use crate::bench::coding::{Coding, CodingReport};
+use super::inputs::SEED;
+use super::registry::Experiment;
+use super::table::Column;
+use super::{Bench, Outcome, Table};
+use crate::bench::bytes::Bytes;
+use crate::bench::coding::Coding;
 use crate::bench::haptic_tick::HapticTick;
 use crate::bench::press_cube::PressCube;
 use crate::haptic_faults;
-use crate::haptic_faults::course::Setup;
+use crate::haptic_faults::run::Setup;
 use crate::network::Profile;
 use crate::test_model::TestModel;
 
 /// Ticks of each device, a quarter of the default: 50 samples remain above the 99.9th percentile.
-const TICKS: usize = 50_000;
+const TICKS: u32 = 50_000;
 
 /// Nodes per edge of the pressed cube.
-const CUBE_NODES: usize = 20;
+const CUBE_NODES: u16 = 20;
 
 /// Number of fault injection runs.
 const FAULTS: u64 = 500;
@@ -34,60 +33,54 @@ const BYTES_SECONDS: f64 = 8.0;
 const BYTES_MODEL: &str = "thigh";
 const BYTES_NETWORK: &str = "metro";
 
-/// Callback for progress: the activity and the completed share.
-pub(super) type Told<'a> = dyn FnMut(&str, f64) + Send + 'a;
-
-/// A benchmark on the page.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Measured {
-    /// Name.
-    pub(super) name: &'static str,
-    /// One-line description.
-    pub(super) about: &'static str,
-    /// Command that repeats it.
-    pub(super) command: &'static str,
-    /// Runs the benchmark with a directory for models and a progress callback.
-    pub(super) run: fn(&Path, &mut Told<'_>) -> Result<Outcome, String>,
-}
-
-/// All benchmarks in page order.
-pub(super) const ALL: &[Measured] = &[
-    Measured {
-        name: "coding",
-        about: "bits per pose and per node on the wire: this codec, deflate, raw",
-        command: "palpate-lab bench coding --round-trip-ms 50 --seed 1",
-        run: coding,
-    },
-    Measured {
-        name: "bytes",
-        about: "bandwidth of a session while pressing and cutting, by purpose, with QUIC overhead",
-        command: "palpate-lab bench bytes --model thigh --seconds 8 --profile metro --seed 1",
-        run: bytes,
-    },
-    Measured {
-        name: "haptic-tick",
-        about: "duration of a tick of the 1 kHz loop: read, compute, write",
-        command: "palpate-lab bench haptic-tick --ticks 50000",
-        run: haptic_tick,
-    },
-    Measured {
-        name: "press-cube",
-        about: "solver time for a disc pressed into a cube of 8,000 nodes",
-        command: "palpate-lab bench press-cube --moving",
-        run: press_cube,
-    },
-    Measured {
-        name: "haptic-faults",
-        about: "injected faults during haptic contact: no fault may cause a force jump",
-        command: "palpate-lab haptic-faults --seeds 500",
-        run: faults,
-    },
+/// All benchmarks in page order, each with the command that repeats it.
+pub(super) const BENCHMARKS: &[(Experiment, &str)] = &[
+    (
+        Experiment {
+            name: "coding",
+            about: "bits per pose and per node on the wire: this codec, deflate, raw",
+            takes: &[],
+            run: coding,
+        },
+        "palpate-lab bench coding --round-trip-ms 50 --seed 1",
+    ),
+    (
+        Experiment {
+            name: "bytes",
+            about: "bandwidth of a session while pressing and cutting, by purpose, with QUIC overhead",
+            takes: &[],
+            run: bytes,
+        },
+        "palpate-lab bench bytes --model thigh --seconds 8 --profile metro --seed 1",
+    ),
+    (
+        Experiment {
+            name: "haptic-tick",
+            about: "duration of a tick of the 1 kHz loop: read, compute, write",
+            takes: &[],
+            run: haptic_tick,
+        },
+        "palpate-lab bench haptic-tick --ticks 50000",
+    ),
+    (
+        Experiment {
+            name: "press-cube",
+            about: "solver time for a disc pressed into a cube of 8,000 nodes",
+            takes: &[],
+            run: press_cube,
+        },
+        "palpate-lab bench press-cube --moving",
+    ),
+    (
+        Experiment {
+            name: "haptic-faults",
+            about: "injected faults during haptic contact: no fault may cause a force jump",
+            takes: &[],
+            run: faults,
+        },
+        "palpate-lab haptic-faults --seeds 500",
+    ),
 ];
-
-/// The benchmark with this name.
-pub(super) fn named(name: &str) -> Option<Measured> {
-    ALL.iter().find(|b| b.name == name).copied()
-}
 
 fn outcome(caption: &str, report: &impl Serialize) -> Result<Outcome, String> {
     Ok(Outcome {
@@ -99,8 +92,8 @@ fn outcome(caption: &str, report: &impl Serialize) -> Result<Outcome, String> {
     })
 }
 
-fn coding(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
-    told("poses and nodes", 0.0);
+fn coding(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    (bench.progress)("poses and nodes", 0.0);
     let report = Coding {
         round_trip_ms: ROUND_TRIP_MS,
         seed: SEED,
@@ -110,34 +103,32 @@ fn coding(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
                    pressed and released, at 60 frames per second and 0.05 mm. Deflate compresses the same \
                    integers, as differences from the acknowledged state, per datagram or frame. Raw uses \
                    four-byte numbers. Headers are included.";
+    let rows = [("per pose", report.pose), ("per node", report.node)];
+    let rows = rows.map(|(per, bits)| json!({ "per": per, "bits": bits }));
     Ok(Outcome {
-        tables: vec![("coding".to_owned(), coding_table(&report))],
+        tables: vec![("coding".to_owned(), Table::of_objects(&rows, CODING))],
         ..outcome(caption, &report)?
     })
 }
 
-fn coding_table(report: &CodingReport) -> String {
-    let mut table = String::from("bits,ours,deflate_1,deflate_9,raw\n");
-    for (per, bits) in [("per pose", report.pose), ("per node", report.node)] {
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            table,
-            "{per},{},{},{},{}",
-            bits.ours, bits.deflate_1, bits.deflate_9, bits.raw
-        );
-    }
-    table
-}
+const CODING: &[Column] = &[
+    ("bits", "per", 1.0),
+    ("ours", "bits.ours", 1.0),
+    ("deflate_1", "bits.deflate_1", 1.0),
+    ("deflate_9", "bits.deflate_9", 1.0),
+    ("raw", "bits.raw", 1.0),
+];
 
-fn bytes(dir: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
-    told(&format!("building the sample \"{BYTES_MODEL}\""), 0.0);
-    let subject = TestModel::prepare(BYTES_MODEL, dir).map_err(|e| e.to_string())?;
-    let bench = Bytes {
+fn bytes(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    (bench.progress)(&format!("building the sample \"{BYTES_MODEL}\""), 0.0);
+    let built = TestModel::prepare(BYTES_MODEL, bench.dir).map_err(|e| e.to_string())?;
+    let measured = Bytes {
+        model: BYTES_MODEL.to_owned(),
         seconds: BYTES_SECONDS,
         profile: Profile::named(BYTES_NETWORK).map_err(|e| e.to_string())?,
         seed: SEED,
     };
-    let report = bench.run(&subject.model, &mut |what| told(what, 0.0))?;
+    let report = measured.run(&built.model, &mut |what| (bench.progress)(what, 0.0))?;
     let caption = format!(
         "Two full subscribers press and cut a thigh of {} nodes over the network {}: kbit/s of each by \
              purpose, over the length of their scripts. The column udp is the total with QUIC overhead and \
@@ -145,42 +136,38 @@ fn bytes(dir: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
              QUIC overhead. Method: {}.",
         report.nodes, report.network, report.method
     );
+    let rows: Vec<Value> = (report.subscribers.iter())
+        .flat_map(|s| {
+            s.flows
+                .each_ref()
+                .map(|flow| json!({ "does": s.does, "flow": flow }))
+        })
+        .collect();
     Ok(Outcome {
-        tables: vec![("bytes".to_owned(), bytes_table(&report))],
+        tables: vec![("bytes".to_owned(), Table::of_objects(&rows, BYTES))],
         ..outcome(&caption, &report)?
     })
 }
 
-fn bytes_table(report: &BytesReport) -> String {
-    const HEAD: &str = "who,direction,motion_kbit_s,operations_kbit_s,corrections_kbit_s,clock_kbit_s,delays_kbit_s,\
-                        quic_kbit_s,udp_kbit_s,limit_kbit_s,worst_second_kbit_s,acknowledgements_kbit_s,packets_per_s,ok\n";
-    let mut table = String::from(HEAD);
-    for subscriber in &report.subscribers {
-        for f in &subscriber.flows {
-            let Flow { direction, ok, .. } = f;
-            let figures = [
-                f.motion,
-                f.operations,
-                f.corrections,
-                f.clock,
-                f.delays,
-                f.quic,
-                f.udp,
-                f.limit,
-                f.worst_second,
-                f.acknowledgements,
-                f.packets_per_s,
-            ];
-            let figures = figures.map(|x| x.to_string()).join(",");
-            let does = of_file(&subscriber.does.into());
-            let _ = writeln!(table, "{does},{direction},{figures},{ok}");
-        }
-    }
-    table
-}
+const BYTES: &[Column] = &[
+    ("who", "does", 1.0),
+    ("direction", "flow.direction", 1.0),
+    ("motion_kbit_s", "flow.motion", 1.0),
+    ("operations_kbit_s", "flow.operations", 1.0),
+    ("corrections_kbit_s", "flow.corrections", 1.0),
+    ("clock_kbit_s", "flow.clock", 1.0),
+    ("delays_kbit_s", "flow.delays", 1.0),
+    ("quic_kbit_s", "flow.quic", 1.0),
+    ("udp_kbit_s", "flow.udp", 1.0),
+    ("limit_kbit_s", "flow.limit", 1.0),
+    ("worst_second_kbit_s", "flow.worst_second", 1.0),
+    ("acknowledgements_kbit_s", "flow.acknowledgements", 1.0),
+    ("packets_per_s", "flow.packets_per_s", 1.0),
+    ("ok", "flow.ok", 1.0),
+];
 
-fn haptic_tick(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
-    told("ticks", 0.0);
+fn haptic_tick(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    (bench.progress)("ticks", 0.0);
     let report = HapticTick { ticks: TICKS }.run()?;
     outcome(
         "Durations of a tick, by device and number of active contact points. One run on this machine: other \
@@ -189,13 +176,14 @@ fn haptic_tick(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
     )
 }
 
-fn press_cube(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
+fn press_cube(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let cube = PressCube {
         nodes: CUBE_NODES,
+        threads: 1,
         poisson: 0.25,
         moving: true,
     };
-    let report = cube.run(&mut |what| told(what, 0.0));
+    let report = cube.run(&mut |what| (bench.progress)(what, 0.0));
     outcome(
         "A cube of side 0.1 m pressed by a disc, on one thread: from rest to 1 % displacement error and to \
          convergence, then in ten steps of 0.1 mm.",
@@ -203,9 +191,9 @@ fn press_cube(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
     )
 }
 
-fn faults(_: &Path, told: &mut Told<'_>) -> Result<Outcome, String> {
+fn faults(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let mut each = |seed: u64, _: &haptic_faults::outcome::Outcome| {
-        told("runs", seed as f64 / FAULTS as f64);
+        (bench.progress)("runs", seed as f64 / FAULTS as f64);
         true
     };
     let all =

@@ -3,16 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use super::recipe::{REAL_MAX, Recipe, SEEDS_MAX};
-use super::{ALL, Bench, Experiment, Outcome, named};
-use crate::bench::on_threads;
-use crate::cli::{note, say};
-use crate::hand::Recorded;
-use crate::name_suggestion::did_you_mean;
-use crate::network::Profile;
-use crate::progress::Progress;
-use crate::test_model::TestModel;
 use clap::Args;
+
+use super::inputs::Inputs;
+use super::recipe::Recipe;
+use super::registry::{ALL, Experiment, named};
+use crate::cli::{note, print_line};
+use crate::name_suggestion::did_you_mean;
+use crate::progress::Progress;
 
 /// Default output directory.
 pub(super) const DIR: &str = "palpate-experiments";
@@ -55,33 +53,14 @@ Rendered forces come from the client's haptic path: contact models solved 250 ti
 on one thread, and the 1 kHz haptic chain. The reference is a solver that converges every 11 ms. rms is the root mean
 square of the difference, relative to that of the converged solution.";
 
-/// Default seed.
-pub(super) const SEED: u64 = 1;
-
 /// Arguments of `run`.
 #[derive(Debug, Args)]
 pub struct RunArguments {
     /// Experiment (see `palpate-lab list`), or a file (.toml) with an experiment and its options
     #[arg(value_parser = which, value_name = "NAME|FILE.toml")]
     experiment: Which,
-    /// Tissue instead of the default: a model file (.palp), a scene (.toml), or a sample
-    #[arg(long)]
-    model: Option<String>,
-    /// Seed of the random numbers [default: 1]
-    #[arg(long)]
-    seed: Option<u64>,
-    /// Number of simulated sessions, each with its own seed
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=SEEDS_MAX))]
-    seeds: Option<u64>,
-    /// Number of additional sessions in real time, with processes and QUIC
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=REAL_MAX))]
-    real: Option<u64>,
-    /// Network instead of the default: a name, or a file (.toml)
-    #[arg(long)]
-    profile: Option<String>,
-    /// Recorded hand motion (CSV) instead of the default
-    #[arg(long, value_name = "FILE.csv")]
-    motion: Option<String>,
+    #[command(flatten)]
+    options: Recipe,
     /// Print one line of JSON; write charts and tables only with -o
     #[arg(long)]
     json: bool,
@@ -114,41 +93,6 @@ pub(super) fn experiment(name: &str) -> Result<Experiment, String> {
     })
 }
 
-/// Loaded inputs of an experiment.
-#[derive(Debug, Default)]
-pub(super) struct Given {
-    model: Option<std::sync::Arc<palpate_tissue::Model>>,
-    seed: Option<u64>,
-    seeds: Option<u64>,
-    real: Option<u64>,
-    profile: Option<Profile>,
-    motion: Option<std::sync::Arc<Recorded>>,
-}
-
-impl Given {
-    /// Loads the files of a recipe; built models go into `dir`.
-    pub(super) fn load(recipe: &Recipe, dir: &Path) -> Result<Self, String> {
-        let mut given = Self {
-            seed: recipe.seed,
-            seeds: recipe.seeds,
-            real: recipe.real,
-            ..Self::default()
-        };
-        if let Some(name) = &recipe.profile {
-            given.profile = Some(Profile::parse(name).map_err(|e| e.to_string())?);
-        }
-        if let Some(file) = &recipe.motion {
-            let hand = Recorded::load(Path::new(file)).map_err(|e| format!("{file}: {e}"))?;
-            given.motion = Some(std::sync::Arc::new(hand));
-        }
-        if let Some(name) = &recipe.model {
-            let subject = TestModel::prepare(name, dir).map_err(|e| e.to_string())?;
-            given.model = Some(subject.model);
-        }
-        Ok(given)
-    }
-}
-
 impl RunArguments {
     /// The experiment and its options, from the command line and the file.
     fn recipe(&self) -> Result<(Experiment, Recipe), String> {
@@ -161,66 +105,27 @@ impl RunArguments {
                 (named, recipe)
             }
         };
-        let recipe = Recipe {
-            experiment: experiment.name.to_owned(),
-            seed: self.seed.or(file.seed),
-            seeds: self.seeds.or(file.seeds),
-            real: self.real.or(file.real),
-            profile: self.profile.clone().or(file.profile),
-            motion: self.motion.clone().or(file.motion),
-            model: self.model.clone().or(file.model),
-        };
-        Ok((experiment, recipe))
+        Ok((experiment, self.options.clone().or(file)))
     }
 }
 
 /// Rejects options that the experiment does not use.
-fn refuse_idle(experiment: Experiment, recipe: &Recipe) -> Result<(), String> {
-    let (name, takes) = (experiment.name, experiment.takes);
-    let idle = [
-        (
-            "model",
-            recipe.model.is_some() && !takes.model,
-            "has a fixed tissue",
-        ),
-        (
-            "seed",
-            recipe.seed.is_some() && !takes.seed,
-            "uses no random numbers",
-        ),
-        (
-            "seeds",
-            recipe.seeds.is_some() && !takes.seeds,
-            "has a single run",
-        ),
-        (
-            "real",
-            recipe.real.is_some() && !takes.real,
-            "has no real-time sessions",
-        ),
-        (
-            "profile",
-            recipe.profile.is_some() && !takes.profile,
-            "has no network or a fixed set of networks",
-        ),
-        (
-            "motion",
-            recipe.motion.is_some() && !takes.motion,
-            "has fixed tool paths",
-        ),
-    ];
-    match idle.into_iter().find(|(_, idle, _)| *idle) {
-        Some((option, _, why)) => Err(format!(
-            "\"{name}\" {why}; remove --{option} or the line `{option}` in the file"
-        )),
-        None => Ok(()),
+fn refuse_unused(experiment: Experiment, recipe: &Recipe) -> Result<(), String> {
+    for (input, option, is_given, why) in recipe.options() {
+        if is_given && !experiment.takes.contains(&input) {
+            return Err(format!(
+                "\"{}\" {why}; remove --{option} or the line `{option}` in the file",
+                experiment.name
+            ));
+        }
     }
+    Ok(())
 }
 
 /// Lists the experiments.
 pub fn list() -> Result<ExitCode, String> {
     for e in ALL {
-        say(&format!("{:<12} {}", e.name, e.about))?;
+        print_line(&format!("{:<12} {}", e.name, e.about))?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -228,7 +133,7 @@ pub fn list() -> Result<ExitCode, String> {
 /// Runs an experiment.
 pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
     let (experiment, recipe) = arguments.recipe()?;
-    refuse_idle(experiment, &recipe)?;
+    refuse_unused(experiment, &recipe)?;
     let out = match (&arguments.out, arguments.json) {
         (Some(dir), _) => Some(dir.clone()),
         (None, true) => None,
@@ -240,23 +145,23 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
     if let Some(name) = &recipe.model {
         progress.stage(&format!("preparing the model \"{name}\""));
     }
-    let given = Given::load(&recipe, kept.path())?;
+    let inputs = Inputs::load(&recipe, kept.path())?;
     // Created after the inputs are validated and before the work.
     out.as_deref().map_or(Ok(()), make_folder)?;
     progress.stage(&format!("{}: {}", experiment.name, experiment.about));
-    let mut told = |what: &str, share: f64| {
+    let mut report_progress = |what: &str, share: f64| {
         progress.tick(&format!("{what}: {:3.0} %", share * 100.0));
     };
-    let outcome = made(experiment, given, kept.path(), &mut told)?;
+    let outcome = experiment.run(inputs, kept.path(), &mut report_progress)?;
     drop(progress);
     // Printed first, so a full disk cannot lose the figures.
     if arguments.json {
-        say(&outcome.figures.to_string())?;
+        print_line(&outcome.figures.to_string())?;
     } else {
-        say(&outcome.for_people())?;
+        print_line(&outcome.to_text())?;
     }
     if let Some(dir) = out {
-        outcome.write_all(&dir, experiment.name)?;
+        outcome.write(&dir, experiment.name)?;
         note(&format!(
             "figures, charts and tables are in {}",
             dir.display()
@@ -278,25 +183,4 @@ pub(super) fn make_folder(dir: &Path) -> Result<(), String> {
     std::fs::create_dir_all(dir)
         .and_then(|()| tempfile::tempfile_in(dir).map(drop))
         .map_err(|e| format!("--out {shown}: {e}; choose a writable directory"))
-}
-
-/// Runs an experiment on one thread, as the haptic path requires.
-pub(super) fn made(
-    experiment: Experiment,
-    given: Given,
-    dir: &Path,
-    told: &mut (dyn FnMut(&str, f64) + Send),
-) -> Result<Outcome, String> {
-    on_threads(1, || {
-        experiment.run(&mut Bench {
-            model: given.model,
-            seed: given.seed.unwrap_or(SEED),
-            seeds: given.seeds,
-            real: given.real,
-            profile: given.profile,
-            motion: given.motion,
-            dir,
-            progress: told,
-        })
-    })?
 }

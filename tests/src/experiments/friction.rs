@@ -1,16 +1,15 @@
 //! Stick and slip of a ball and of a line tool (Lin 2007, figs 4.11 to 4.13).
 
-use std::sync::Arc;
-
+use nalgebra::UnitQuaternion;
 use palpate_device::script::WayPoint;
-use palpate_haptics::ChainConfig;
 use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_tissue::{Material, Vec3, block};
 use serde_json::json;
 
-use super::{Bench, Outcome, converged, line, panel, with_friction};
+use super::tissue::{Cases, panel, rendered_and_converged, with_friction};
+use super::{Bench, Outcome};
 use crate::chart::{BLUE, Chart, GREEN, ORANGE};
-use crate::scenario::{Course, Scenario, path};
+use crate::scenario::ScenarioResult;
 
 const SPACING_M: f64 = 4e-3;
 const CELLS: [usize; 3] = [26, 14, 8];
@@ -43,16 +42,16 @@ fn bar() -> ToolDescription {
 }
 
 /// Figures of stick and slip.
-fn slip(course: &Course, [still, sliding]: [f64; 2]) -> serde_json::Value {
+fn slip(result: &ScenarioResult, [stick, slide]: [f64; 2]) -> serde_json::Value {
     let ratios = |slides: bool| {
-        let points = course.checked().filter(move |(p, _)| p.slides == slides);
-        points.map(|(p, t)| p.felt.force.x.abs() / t.pressed_n.max(1e-9))
+        let points = result.checked().filter(move |(p, _)| p.slides == slides);
+        points.map(|(p, s)| p.rendered.force.x.abs() / s.pressed_n.max(1e-9))
     };
     let mean = ratios(true).sum::<f64>() / ratios(true).count().max(1) as f64;
     let peak = ratios(false).fold(0.0_f64, f64::max);
     json!({
-        "static": still, "dynamic": sliding, "break_away": peak, "while_sliding": mean,
-        "force": course.sliding(), "torque": course.sliding_torque(),
+        "static": stick, "dynamic": slide, "break_away": peak, "while_sliding": mean,
+        "force": result.sliding(), "torque": result.sliding_torque(),
     })
 }
 
@@ -60,70 +59,50 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let muscle = Material::resolve("muscle", None).map_err(|e| e.to_string())?;
     let tissue = block(CELLS, SPACING_M, &muscle, 1);
     let [_, y, top] = [0, 1, 2].map(|i| CELLS[i] as f64 * SPACING_M);
-    let flat =
-        nalgebra::UnitQuaternion::from_axis_angle(&Vec3::x_axis(), -std::f64::consts::FRAC_PI_2);
+    let flat = UnitQuaternion::from_axis_angle(&Vec3::x_axis(), -std::f64::consts::FRAC_PI_2);
     let tools = [
-        (
-            "ball",
-            ball(),
-            nalgebra::UnitQuaternion::identity(),
-            0.5 * y,
-        ),
+        ("ball", ball(), UnitQuaternion::identity(), 0.5 * y),
         ("line", bar(), flat, 0.5 * y - 12e-3),
     ];
-    let (mut charts, mut figures, mut tables) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut cases, mut charts) = (Cases::default(), Vec::new());
     for (name, tool, turn, beside) in tools {
         let (mut drag, mut torque) = (Vec::new(), Vec::new());
+        let above = Vec3::new(28e-3, beside, top + tool.radius_m);
+        let down = above - Vec3::z() * DEPTH_M;
+        let end_s = PRESS_S + DRAG_M / SPEED_M_S;
         for (mu, friction, colour) in SURFACES {
-            let above = Vec3::new(28e-3, beside, top + tool.radius_m);
-            let down = above - Vec3::z() * DEPTH_M;
-            let to = down + Vec3::x() * DRAG_M;
-            let scenario = Scenario {
-                model: Arc::new(with_friction(&tissue, friction)),
-                tool,
-                path: path(vec![
-                    WayPoint::new(0.0, above + Vec3::z() * 1e-3).turned(turn),
-                    WayPoint::new(PRESS_S, down).turned(turn),
-                    WayPoint::new(PRESS_S + DRAG_M / SPEED_M_S, to)
-                        .turned(turn)
-                        .linear(),
-                ])?,
-                chain: ChainConfig::default(),
-            };
-            let course = bench.run(&format!("{name}, {mu}"), &scenario);
-            let moved = |p: &crate::scenario::Point| (p.position.x - down.x) * 1e3;
-            let dragged = || course.points.iter().filter(|p| p.t_s >= PRESS_S);
-            let felt = |of: &dyn Fn(&crate::scenario::Point) -> f64| {
-                dragged().map(|p| (moved(p), of(p))).collect()
-            };
-            let truth = |of: &dyn Fn(&crate::scenario::Truth) -> f64| {
-                let checked = course.checked().filter(|(p, _)| p.t_s >= PRESS_S);
-                checked.map(|(p, t)| (moved(p), of(&t))).collect()
-            };
-            drag.push(line(mu, colour, felt(&|p| -p.felt.force.x)));
-            drag.push(converged(truth(&|t| {
-                -(t.plain.force.x + t.friction.force.x)
-            })));
-            torque.push(line(mu, colour, felt(&|p| 1e3 * p.felt.torque.z)));
-            let turning = truth(&|t| 1e3 * (t.plain.torque.z + t.friction.torque.z));
-            torque.push(converged(turning));
-            figures.push(json!({ "tool": name, "surface": slip(&course, friction) }));
-            tables.push((format!("friction-{name}-{}", friction[0]), course.csv()));
+            let path = vec![
+                WayPoint::new(0.0, above + Vec3::z() * 1e-3).turned(turn),
+                WayPoint::new(PRESS_S, down).turned(turn),
+                WayPoint::new(end_s, down + Vec3::x() * DRAG_M)
+                    .turned(turn)
+                    .linear(),
+            ];
+            let model = with_friction(&tissue, friction);
+            let mut result = bench.simulate(&format!("{name}, {mu}"), &model, tool, path)?;
+            cases
+                .figures
+                .push(json!({ "tool": name, "surface": slip(&result, friction) }));
+            cases.add_table("friction", &format!("{name}-{}", friction[0]), &result);
+            // The chart begins with the drag.
+            result.points.retain(|p| p.t_s >= PRESS_S);
+            let moved_mm = |x: f64| (x - down.x) * 1e3;
+            drag.extend(rendered_and_converged(mu, colour, &result, |p, s| {
+                let wrench = s.map_or(p.rendered, |s| s.at(true));
+                (moved_mm(p.position.x), -wrench.force.x)
+            }));
+            torque.extend(rendered_and_converged(mu, colour, &result, |p, s| {
+                let wrench = s.map_or(p.rendered, |s| s.at(true));
+                (moved_mm(p.position.x), 1e3 * wrench.torque.z)
+            }));
         }
         let mut panels = vec![panel("Force against the drag", "force (N)", drag)];
         if name == "line" {
-            panels.push(panel(
-                "Torque about the held end, upwards",
-                "torque (mN·m)",
-                torque,
-            ));
+            let title = "Torque about the held end, upwards";
+            panels.push(panel(title, "torque (mN·m)", torque));
         }
-        let chart = Chart {
-            title: format!("Friction: a {name} pressed 5 mm into muscle and dragged over it"),
-            x_label: "distance (mm)".to_owned(),
-            panels,
-            marks: Vec::new(),
-        };
+        let title = format!("Friction: a {name} pressed 5 mm into muscle and dragged over it");
+        let chart = Chart::new(title, "distance (mm)", panels);
         charts.push((format!("friction-{name}"), chart));
     }
     Ok(Outcome {
@@ -132,8 +111,8 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
                   then slides with the dynamic friction. The line is held at one end, so friction along it \
                   exerts a torque."
             .to_owned(),
-        figures: json!({ "experiment": "friction", "cases": figures }),
+        figures: json!({ "experiment": "friction", "cases": cases.figures }),
         charts,
-        tables,
+        tables: cases.tables,
     })
 }

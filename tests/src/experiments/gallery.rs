@@ -1,11 +1,9 @@
 //! One page with all charts and tables, readable offline.
 
-use std::fmt::Write as _;
-
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Map, Value};
 
-use super::{Outcome, cells};
-use crate::chart::escape;
+use super::{Outcome, Table, table};
 
 /// Maximum number of rows of an initially open table.
 pub(super) const ROWS_OPEN: usize = 48;
@@ -13,6 +11,11 @@ pub(super) const ROWS_OPEN: usize = 48;
 /// Maximum number of rows of a table on the page. Longer tables are time series; they are drawn and stay in
 /// their files.
 const ROWS_MAX: usize = 400;
+
+const INTRODUCTION: &str = "Forces and views of participants who share one tissue over a network. The network \
+experiments compare the views of two sites at one shared time, over emulated networks in virtual time; a seed reproduces \
+every packet. The tissue experiments compare the force rendered at 1 kHz with independent converged solutions; they depend \
+slightly on the machine's speed. Figures and tables in brackets are the corresponding ones of the dissertation (Lin 2007).";
 
 const STYLE: &str = "body{font-family:sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222;line-height:1.4}\
 figure{margin:1em 0}svg{max-width:100%;height:auto}\
@@ -41,7 +44,7 @@ pub struct Part {
 
 impl Part {
     /// Whether it ran and its figures report a missed limit.
-    fn is_short(&self) -> bool {
+    fn has_missed(&self) -> bool {
         let outcome = self.result.as_ref().ok();
         outcome.is_some_and(|o| o.figures["ok"] == Value::Bool(false))
     }
@@ -60,51 +63,55 @@ pub struct Origin {
 
 /// The page as HTML.
 pub fn page(parts: &[Part], origin: &Origin) -> String {
-    let mut html = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
-         <meta name=\"viewport\" content=\"width=device-width\"><title>Palpate: experiments</title>\n\
-         <style>{STYLE}</style></head><body>\n<h1>Experiments</h1>\n\
-         <p>Forces and views of participants who share one tissue over a network. The network experiments \
-         compare the views of two sites at one shared time, over emulated networks in virtual time; a seed \
-         reproduces every packet. The tissue experiments compare the force rendered at 1 kHz with \
-         independent converged solutions; they depend slightly on the machine's speed. Figures and tables in \
-         brackets are the corresponding ones of the dissertation (Lin 2007).</p>\n"
-    );
-    // Writing to a string cannot fail.
-    let _ = writeln!(
-        html,
-        "<p class=\"aside\">{}. {}. {} of {} parts in {}.</p>",
-        escape(&origin.versions),
-        escape(&origin.machine),
-        parts.len(),
-        origin.planned,
-        time(parts.iter().map(|p| p.took_s).sum())
-    );
-    let named = |html: &mut String, what: &str, which: &dyn Fn(&Part) -> bool| {
-        let names: Vec<String> = (parts.iter().filter(|p| which(p)))
-            .map(|p| format!("<a href=\"#{}\">{}</a>", p.name, escape(&p.name)))
-            .collect();
-        if !names.is_empty() {
-            let _ = writeln!(
-                html,
-                "<p class=\"failed\">{what}: {}.</p>",
-                names.join(", ")
-            );
+    let failed: Vec<&Part> = parts.iter().filter(|p| p.result.is_err()).collect();
+    let missed: Vec<&Part> = parts.iter().filter(|p| p.has_missed()).collect();
+    let took_s = parts.iter().map(|p| p.took_s).sum();
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width";
+                title { "Palpate: experiments" }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                h1 { "Experiments" }
+                p { (INTRODUCTION) }
+                p.aside {
+                    (origin.versions) ". " (origin.machine) ". "
+                    (parts.len()) " of " (origin.planned) " parts in " (time(took_s)) "."
+                }
+                (links("Failed", &failed))
+                (links("Limits missed", &missed))
+                ul {
+                    @for p in parts { li { (link(&format!("#{}", p.name), &p.name)) ": " (p.about) } }
+                }
+                @for part in parts { (section(part)) }
+            }
         }
     };
-    named(&mut html, "Failed", &|p| p.result.is_err());
-    named(&mut html, "Limits missed", &Part::is_short);
-    html.push_str("<ul>\n");
-    for p in parts {
-        let (name, about) = (escape(&p.name), escape(&p.about));
-        let _ = writeln!(html, "<li><a href=\"#{}\">{name}</a>: {about}</li>", p.name);
+    page.into_string()
+}
+
+fn link(to: &str, name: &str) -> Markup {
+    html! { a href=(to) { (name) } }
+}
+
+/// Links to parts with a problem, if there are any.
+fn links(problem: &str, parts: &[&Part]) -> Markup {
+    html! {
+        @if !parts.is_empty() {
+            p.failed {
+                (problem) ": "
+                @for (k, part) in parts.iter().enumerate() {
+                    @if k > 0 { ", " }
+                    (link(&format!("#{}", part.name), &part.name))
+                }
+                "."
+            }
+        }
     }
-    html.push_str("</ul>\n");
-    for part in parts {
-        section(&mut html, part);
-    }
-    html.push_str("</body></html>\n");
-    html
 }
 
 fn time(s: f64) -> String {
@@ -115,68 +122,63 @@ fn time(s: f64) -> String {
     }
 }
 
-fn section(html: &mut String, part: &Part) {
-    let _ = writeln!(
-        html,
-        "<h2 id=\"{}\">{}</h2>\n<p><b>{}</b></p>\n<p class=\"aside\">Command: <code>{}</code> (took {})</p>",
-        part.name,
-        escape(&part.name),
-        escape(&part.about),
-        escape(&part.command),
-        time(part.took_s)
-    );
-    let outcome = match &part.result {
-        Ok(outcome) => outcome,
-        Err(why) => {
-            let _ = writeln!(html, "<p class=\"failed\">Error: {}</p>", escape(why));
-            return;
+fn section(part: &Part) -> Markup {
+    html! {
+        h2 id=(part.name) { (part.name) }
+        p { b { (part.about) } }
+        p.aside { "Command: " code { (part.command) } " (took " (time(part.took_s)) ")" }
+        @match &part.result {
+            Ok(outcome) => (results(part, outcome)),
+            Err(why) => p.failed { "Error: " (why) },
         }
-    };
-    let _ = writeln!(html, "<p>{}</p>", escape(&outcome.caption));
-    for (_, chart) in &outcome.charts {
-        let _ = writeln!(html, "<figure>{}</figure>", chart.to_svg());
     }
-    let mut lists = Vec::new();
-    let mut scalars = Map::new();
+}
+
+fn results(part: &Part, outcome: &Outcome) -> Markup {
+    let (mut lists, mut scalars) = (Vec::new(), Map::new());
     flatten("", &outcome.figures, &mut scalars, &mut lists);
     scalars.remove("experiment");
-    if !scalars.is_empty() {
-        let rows: Vec<Vec<String>> = (scalars.iter())
-            .map(|(name, value)| vec![name.clone(), cells::alone(value)])
-            .collect();
-        table(html, &["figure".to_owned(), "value".to_owned()], &rows);
+    let scalars = Table {
+        head: vec!["figure".to_owned(), "value".to_owned()],
+        rows: (scalars
+            .iter()
+            .map(|(name, value)| vec![name.clone(), table::alone(value)]))
+        .collect(),
+    };
+    let fits =
+        |(_, table): &&(String, Table)| !table.rows.is_empty() && table.rows.len() <= ROWS_MAX;
+    let mut tables: Vec<(String, Table)> = outcome.tables.iter().filter(fits).cloned().collect();
+    if tables.is_empty() {
+        // Tables contain the same figures as the lists, in readable form.
+        tables.extend(
+            lists
+                .iter()
+                .map(|(name, objects)| (name.clone(), of_objects(objects))),
+        );
     }
-    let mut has_table = false;
-    for (name, text) in &outcome.tables {
-        let mut rows: Vec<Vec<String>> = text.lines().map(cells::split).collect();
-        if let Some((head, rows)) = rows
-            .split_first_mut()
-            .filter(|(_, rows)| rows.len() <= ROWS_MAX)
-        {
-            cells::aligned(rows);
-            folded(html, &format!("{name}: {} rows", rows.len()), head, rows);
-            has_table = true;
-        }
+    html! {
+        p { (outcome.caption) }
+        @for (_, chart) in &outcome.charts { figure { (PreEscaped(chart.to_svg())) } }
+        @if !scalars.rows.is_empty() { (shown(&scalars.head, &scalars.rows)) }
+        @for (name, table) in &mut tables { (folded(name, table)) }
+        (files(part, outcome))
     }
-    // The tables contain the same figures in readable form.
-    for (name, objects) in lists.iter().filter(|_| !has_table) {
-        let (head, rows) = of_objects(objects);
-        folded(html, &format!("{name}: {} rows", rows.len()), &head, &rows);
-    }
-    files(html, part, outcome);
 }
 
 /// Links to the part's files.
-fn files(html: &mut String, part: &Part, outcome: &Outcome) {
+fn files(part: &Part, outcome: &Outcome) -> Markup {
     let charts = outcome.charts.iter().map(|(n, _)| format!("{n}.svg"));
     let tables = outcome.tables.iter().map(|(n, _)| format!("{n}.csv"));
     let json = std::iter::once(format!("{}.json", part.name));
-    let links: Vec<String> = charts
-        .chain(tables)
-        .chain(json)
-        .map(|f| format!("<a href=\"{0}\">{0}</a>", escape(&f)))
-        .collect();
-    let _ = writeln!(html, "<p class=\"aside\">Files: {}</p>", links.join(", "));
+    html! {
+        p.aside {
+            "Files: "
+            @for (k, file) in charts.chain(tables).chain(json).enumerate() {
+                @if k > 0 { ", " }
+                (link(&file, &file))
+            }
+        }
+    }
 }
 
 /// Collects single figures by their path, and lists of objects.
@@ -224,7 +226,7 @@ fn is_list(object: &Map<String, Value>) -> bool {
 }
 
 /// Objects as rows, with one column for each path in any object.
-fn of_objects(objects: &[Value]) -> (Vec<String>, Vec<Vec<String>>) {
+fn of_objects(objects: &[Value]) -> Table {
     let flat: Vec<Map<String, Value>> = (objects.iter())
         .map(|object| {
             let (mut scalars, mut lists) = (Map::new(), Vec::new());
@@ -248,50 +250,45 @@ fn of_objects(objects: &[Value]) -> (Vec<String>, Vec<Vec<String>>) {
     };
     head.sort_by_key(|key| !is_word(key));
     let cells = |row: &Map<String, Value>| -> Vec<String> {
-        let cell = |key| row.get(key).map_or(String::new(), cells::whole);
+        let cell = |key| row.get(key).map_or(String::new(), table::whole);
         head.iter().map(cell).collect()
     };
-    let mut rows: Vec<Vec<String>> = flat.iter().map(cells).collect();
-    cells::aligned(&mut rows);
-    (head, rows)
+    let rows = flat.iter().map(cells).collect();
+    Table { head, rows }
 }
 
 /// A table that is folded if it is long.
-fn folded(html: &mut String, name: &str, head: &[String], rows: &[Vec<String>]) {
-    let open = if rows.len() <= ROWS_OPEN { " open" } else { "" };
-    let _ = writeln!(html, "<details{open}><summary>{}</summary>", escape(name));
-    table(html, head, rows);
-    html.push_str("</details>\n");
+fn folded(name: &str, table: &mut Table) -> Markup {
+    table::aligned(&mut table.rows);
+    html! {
+        details open[table.rows.len() <= ROWS_OPEN] {
+            summary { (name) ": " (table.rows.len()) " rows" }
+            (shown(&table.head, &table.rows))
+        }
+    }
 }
 
-fn table(html: &mut String, head: &[String], rows: &[Vec<String>]) {
+fn shown(head: &[String], rows: &[Vec<String>]) -> Markup {
     // Text columns and their headings are left-aligned.
     let is_word = |k: usize| {
         let mut column = rows.iter().filter_map(|row| row.get(k));
-        column.any(|cell| cells::is_word(cell))
+        column.any(|cell| table::is_word(cell))
     };
-    let words: Vec<&str> = (0..head.len())
-        .map(|k| if is_word(k) { " class=\"word\"" } else { "" })
+    let classes: Vec<Option<&str>> = (0..head.len())
+        .map(|k| is_word(k).then_some("word"))
         .collect();
-    html.push_str("<div class=\"scroll\"><table>\n<tr>");
-    for (name, word) in head.iter().zip(&words) {
-        let _ = write!(html, "<th{word}>{}</th>", escape(name));
-    }
-    html.push_str("</tr>\n");
-    for row in rows.iter().take(ROWS_MAX) {
-        html.push_str("<tr>");
-        for (cell, word) in row.iter().zip(&words) {
-            let _ = write!(html, "<td{word}>{}</td>", escape(cell));
+    html! {
+        div.scroll {
+            table {
+                tr { @for (name, class) in head.iter().zip(&classes) { th class=[class] { (name) } } }
+                @for row in rows.iter().take(ROWS_MAX) {
+                    tr { @for (cell, class) in row.iter().zip(&classes) { td class=[class] { (cell) } } }
+                }
+            }
         }
-        html.push_str("</tr>\n");
-    }
-    html.push_str("</table></div>\n");
-    if rows.len() > ROWS_MAX {
-        let _ = writeln!(
-            html,
-            "<p class=\"aside\">The first {ROWS_MAX} of {} rows.</p>",
-            rows.len()
-        );
+        @if rows.len() > ROWS_MAX {
+            p.aside { "The first " (ROWS_MAX) " of " (rows.len()) " rows." }
+        }
     }
 }
 
@@ -400,9 +397,10 @@ mod tests {
 
     #[test]
     fn long_tables_are_only_linked() {
-        let rows = "1,2\n".repeat(1000);
+        let mut table = Table::new("t_s,x");
+        table.rows = vec![vec!["1".to_owned(), "2".to_owned()]; 1000];
         let long = Outcome {
-            tables: vec![("course".to_owned(), format!("t_s,x\n{rows}"))],
+            tables: vec![("course".to_owned(), table)],
             ..outcome()
         };
         let html = page(&[part("good", Ok(long))], &origin());

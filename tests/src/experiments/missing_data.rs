@@ -1,14 +1,12 @@
 //! One gap in a hand's motion and its reconstruction by each method (Lin 2007, fig 6.9).
 
-use std::fmt::Write as _;
-
 use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{ServerTime, Span};
 use serde_json::{Value, json};
 
-use super::samples::{HISTORY_US, Sampled, angle_deg, distance, look};
-use super::{Bench, Outcome, line};
-use crate::chart::{BLACK, Chart, Mark, Panel, Scale};
+use super::samples::{HISTORY_US, Sampled, angle_deg, distance, method_line};
+use super::{Bench, Outcome, Table};
+use crate::chart::{BLACK, Chart, Line, Mark, Panel};
 
 /// Sample rate of the stream.
 const RATE_HZ: u32 = 1000;
@@ -32,36 +30,35 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let began = worst_gap(&sampled)?;
     let ended = began + GAP_MS * 1000;
     let (from, until) = (began - AROUND_MS * 1000, ended + AROUND_MS * 1000);
-    let axis = liveliest(&sampled, began, ended);
+    let axis = axis_of_largest_motion(&sampled, began, ended);
     let ms = |t_us: i64| (t_us - began) as f64 * 1e-3;
-    let place = |p: [f64; 3]| 1e3 * (p[axis] - sampled.truth(began).position_m[axis]);
+    let position_mm = |p: [f64; 3]| 1e3 * (p[axis] - sampled.true_pose(began).position_m[axis]);
     let moments = || (from..=until).step_by(STEP_US as usize);
-    let truth: Vec<(f64, f64)> =
-        (moments().map(|t| (ms(t), place(sampled.truth(t).position_m)))).collect();
+    let true_motion: Vec<(f64, f64)> =
+        (moments().map(|t| (ms(t), position_mm(sampled.true_pose(t).position_m)))).collect();
     let mut panels = Vec::new();
     let mut figures = Vec::new();
-    let mut table = String::from("kind,method,time_ms,place_mm,error_mm,turn_error_deg\n");
+    let mut table = Table::new("kind,method,time_ms,place_mm,error_mm,turn_error_deg");
     for (kind, titled) in [
         ("extrapolation", "Extrapolation"),
         ("interpolation", "Interpolation"),
     ] {
-        let mut places = vec![line("the hand", BLACK, truth.clone())];
+        let mut position_lines = vec![Line::new("the hand", BLACK, true_motion.clone())];
         let (mut errors, mut turns) = (Vec::new(), Vec::new());
         for method in Method::ALL {
-            let course = course(&sampled, method, began, kind == "interpolation")?;
-            for p in &course {
-                // Writing to a string cannot fail.
-                let _ = writeln!(
-                    table,
-                    "{kind},{},{},{},{},{}",
-                    method.name(),
+            let points = reconstruct(&sampled, method, began, kind == "interpolation")?;
+            let row = |p: &Point| {
+                let figures = [
                     ms(p.t_us),
-                    place(p.position_m),
+                    position_mm(p.position_m),
                     p.error_mm,
-                    p.turn_error_deg
-                );
-            }
-            let inside: Vec<&Point> = (course.iter())
+                    p.turn_error_deg,
+                ];
+                let words = [kind, method.name()].map(str::to_owned).into_iter();
+                words.chain(figures.map(|x| x.to_string())).collect()
+            };
+            table.rows.extend(points.iter().map(row));
+            let inside: Vec<&Point> = (points.iter())
                 .filter(|p| p.t_us > began && p.t_us <= ended)
                 .collect();
             let rms = |of: fn(&Point) -> f64| {
@@ -73,42 +70,34 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
                 "kind": kind, "method": method.name(), "rms_mm": rms(|p| p.error_mm), "max_mm": worst,
                 "rms_deg": rms(|p| p.turn_error_deg),
             }));
-            let (colour, dashed) = look(method);
-            let of = |y: &dyn Fn(&Point) -> f64| super::Line {
-                dashed,
-                ..line(
-                    method.name(),
-                    colour,
-                    course.iter().map(|p| (ms(p.t_us), y(p))).collect(),
-                )
+            let of = |y: &dyn Fn(&Point) -> f64| {
+                method_line(method, points.iter().map(|p| (ms(p.t_us), y(p))))
             };
             // The raw second difference is omitted if its error would hide the other methods.
             if method != Method::VerletRaw || worst < 3.0 {
-                places.push(of(&|p| place(p.position_m)));
+                position_lines.push(of(&|p| position_mm(p.position_m)));
             }
             if method != Method::Hold && (method != Method::VerletRaw || worst < 1.0) {
                 errors.push(of(&|p| p.error_mm));
             }
             // Orientation errors are equal for all methods except hold.
             if method == Method::Linear {
-                let all = of(&|p| p.turn_error_deg);
-                let name = "all but hold".to_owned();
-                turns.push(super::Line { name, ..all });
+                let mut line = of(&|p| p.turn_error_deg);
+                "all but hold".clone_into(&mut line.name);
+                turns.push(line);
             }
         }
-        let panel = |what: &str, y: &str, lines| Panel {
-            title: format!("{titled}: {what}"),
-            y_label: y.to_owned(),
-            lines,
-            scale: Scale::Linear,
-        };
-        panels.push(panel(
-            "position along the axis of largest motion",
-            "place (mm)",
-            places,
-        ));
-        panels.push(panel("position error, without hold", "error (mm)", errors));
-        panels.push(panel("orientation error", "error (°)", turns));
+        for (what, y_label, lines) in [
+            (
+                "position along the axis of largest motion",
+                "place (mm)",
+                position_lines,
+            ),
+            ("position error, without hold", "error (mm)", errors),
+            ("orientation error", "error (°)", turns),
+        ] {
+            panels.push(Panel::new(format!("{titled}: {what}"), y_label, lines));
+        }
     }
     Ok(outcome(panels, &figures, table))
 }
@@ -122,7 +111,7 @@ struct Point {
 }
 
 /// Reconstruction of a method around a gap. Without samples after the gap it stops at the gap's end.
-fn course(
+fn reconstruct(
     sampled: &Sampled<'_>,
     method: Method,
     began: i64,
@@ -139,28 +128,25 @@ fn course(
     let points = (from..=last).step_by(STEP_US as usize).map(|t_us| {
         let shown = timeline.at(ServerTime::from_micros(t_us));
         let shown = shown.ok_or("the motion begins too late for its gap")?.pose;
-        let truth = sampled.truth(t_us);
+        let true_motion = sampled.true_pose(t_us);
         Ok(Point {
             t_us,
             position_m: shown.position_m,
-            error_mm: 1e3 * distance(shown.position_m, truth.position_m),
-            turn_error_deg: angle_deg(shown.orientation, truth.orientation),
+            error_mm: 1e3 * distance(shown.position_m, true_motion.position_m),
+            turn_error_deg: angle_deg(shown.orientation, true_motion.orientation),
         })
     });
     points.collect()
 }
 
-fn outcome(panels: Vec<Panel>, figures: &[Value], table: String) -> Outcome {
+fn outcome(panels: Vec<Panel>, figures: &[Value], table: Table) -> Outcome {
     let mark = |x: i64, label: &str| Mark {
         x: x as f64,
         label: label.to_owned(),
     };
-    let chart = Chart {
-        title: format!("{GAP_MS} ms without samples in a stream of {RATE_HZ} Hz"),
-        x_label: "time since the last sample (ms)".to_owned(),
-        panels,
-        marks: vec![mark(0, "last sample"), mark(GAP_MS, "next sample")],
-    };
+    let title = format!("{GAP_MS} ms without samples in a stream of {RATE_HZ} Hz");
+    let chart = Chart::new(title, "time since the last sample (ms)", panels)
+        .with_marks(vec![mark(0, "last sample"), mark(GAP_MS, "next sample")]);
     Outcome {
         caption: "One gap in a hand's motion and its reconstruction by each method, in position and \
                   orientation: extrapolation beyond the last sample, and interpolation once the next samples \
@@ -176,14 +162,14 @@ fn outcome(panels: Vec<Panel>, figures: &[Value], table: String) -> Outcome {
 
 /// Start of the gap with the largest error of linear extrapolation, µs.
 fn worst_gap(sampled: &Sampled<'_>) -> Result<i64, String> {
-    let (first, last) = sampled.room(GAP_MS * 1000 + AROUND_MS * 1000)?;
+    let (first, last) = sampled.gap_range(GAP_MS * 1000 + AROUND_MS * 1000)?;
     let mut worst = (first, -1.0);
     for t in (first..=last.min(first + 10_000_000)).step_by(SEARCH_MS as usize * 1000) {
         let mut timeline = Timeline::new(Method::Linear, Span::from_millis(GAP_MS));
         sampled.fill(&mut timeline, t - HISTORY_US, t)?;
         let end = t + GAP_MS * 1000;
         if let Some(shown) = timeline.at(ServerTime::from_micros(end)) {
-            let error = distance(shown.pose.position_m, sampled.truth(end).position_m);
+            let error = distance(shown.pose.position_m, sampled.true_pose(end).position_m);
             if error > worst.1 {
                 worst = (t, error);
             }
@@ -193,12 +179,12 @@ fn worst_gap(sampled: &Sampled<'_>) -> Result<i64, String> {
 }
 
 /// The axis of the largest motion during the gap.
-fn liveliest(sampled: &Sampled<'_>, began: i64, ended: i64) -> usize {
+fn axis_of_largest_motion(sampled: &Sampled<'_>, began: i64, ended: i64) -> usize {
     let range = |axis: usize| {
         let along = || {
             (began..=ended)
                 .step_by(1000)
-                .map(|t| sampled.truth(t).position_m[axis])
+                .map(|t| sampled.true_pose(t).position_m[axis])
         };
         along().fold(f64::MIN, f64::max) - along().fold(f64::MAX, f64::min)
     };

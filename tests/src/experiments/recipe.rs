@@ -12,11 +12,13 @@
 
 use std::path::Path;
 
+use clap::Args;
 use palpate_device::text_file::{self, TextFileError};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 
-use crate::name_suggestion::with_nearest;
+use super::Input;
+use crate::name_suggestion::with_suggestion;
 
 /// Maximum file size, bytes.
 const BYTES_MAX: u64 = 64 << 10;
@@ -45,26 +47,33 @@ fn between_one_and<'de, D: Deserializer<'de>>(max: u64, value: D) -> Result<Opti
     )))
 }
 
-/// An experiment and its options.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+/// An experiment and its options, in a file or on the command line.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize, Args)]
 #[serde(deny_unknown_fields)]
 pub struct Recipe {
     /// The experiment's name.
+    #[arg(skip)]
     pub experiment: String,
-    /// Seed of the random numbers.
+    /// Tissue instead of the default: a model file (.palp), a scene (.toml), or a sample
+    #[arg(long)]
+    pub model: Option<String>,
+    /// Seed of the random numbers [default: 1]
+    #[arg(long)]
     pub seed: Option<u64>,
-    /// Number of seeds, 1 to [`SEEDS_MAX`].
+    /// Number of simulated sessions, each with its own seed
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=SEEDS_MAX))]
     #[serde(default, deserialize_with = "seeds")]
     pub seeds: Option<u64>,
-    /// Number of sessions in real time, 1 to [`REAL_MAX`].
+    /// Number of additional sessions in real time, with processes and QUIC
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=REAL_MAX))]
     #[serde(default, deserialize_with = "real")]
     pub real: Option<u64>,
-    /// The network.
+    /// Network instead of the default: a name, or a file (.toml)
+    #[arg(long)]
     pub profile: Option<String>,
-    /// A recorded motion (CSV).
+    /// Recorded hand motion (CSV) instead of the default
+    #[arg(long, value_name = "FILE.csv")]
     pub motion: Option<String>,
-    /// Tissue model.
-    pub model: Option<String>,
 }
 
 impl Recipe {
@@ -94,9 +103,65 @@ impl Recipe {
         Ok(recipe)
     }
 
+    /// This recipe, with the options of `file` where it has none.
+    #[must_use]
+    pub fn or(self, file: Self) -> Self {
+        Self {
+            experiment: file.experiment,
+            model: self.model.or(file.model),
+            seed: self.seed.or(file.seed),
+            seeds: self.seeds.or(file.seeds),
+            real: self.real.or(file.real),
+            profile: self.profile.or(file.profile),
+            motion: self.motion.or(file.motion),
+        }
+    }
+
+    /// Each option: its name, whether it is given, and why an experiment may not accept it.
+    pub(super) fn options(&self) -> [(Input, &'static str, bool, &'static str); 6] {
+        [
+            (
+                Input::Model,
+                "model",
+                self.model.is_some(),
+                "has a fixed tissue",
+            ),
+            (
+                Input::Seed,
+                "seed",
+                self.seed.is_some(),
+                "uses no random numbers",
+            ),
+            (
+                Input::Seeds,
+                "seeds",
+                self.seeds.is_some(),
+                "has a single run",
+            ),
+            (
+                Input::Real,
+                "real",
+                self.real.is_some(),
+                "has no real-time sessions",
+            ),
+            (
+                Input::Profile,
+                "profile",
+                self.profile.is_some(),
+                "has no network or a fixed set of networks",
+            ),
+            (
+                Input::Motion,
+                "motion",
+                self.motion.is_some(),
+                "has fixed tool paths",
+            ),
+        ]
+    }
+
     /// Parses a recipe.
     pub fn parse(text: &str) -> Result<Self, String> {
-        toml::from_str(text).map_err(|e| with_nearest(&e.to_string()))
+        toml::from_str(text).map_err(|e| with_suggestion(&e.to_string()))
     }
 }
 

@@ -5,7 +5,7 @@ use palpate_protocol::datagram::as_sent;
 use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{Pose, ServerTime, ToolSample};
 
-use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE};
+use crate::chart::{BLUE, GREEN, GREY, Line, ORANGE, PURPLE};
 use crate::hand::Hand;
 
 /// Time span of the samples before a gap that a method may use, µs.
@@ -27,12 +27,12 @@ impl<'a> Sampled<'a> {
             period_us: 1_000_000 / i64::from(rate_hz),
             end_us,
         };
-        sampled.room(HISTORY_US)?;
+        sampled.gap_range(HISTORY_US)?;
         Ok(sampled)
     }
 
     /// The first and last time, µs, with enough history before and `after_us` after.
-    pub(super) fn room(&self, after_us: i64) -> Result<(i64, i64), String> {
+    pub(super) fn gap_range(&self, after_us: i64) -> Result<(i64, i64), String> {
         let last = self.end_us - after_us - HISTORY_US;
         if last < 2 * HISTORY_US {
             return Err(format!(
@@ -45,7 +45,7 @@ impl<'a> Sampled<'a> {
     }
 
     /// The true pose.
-    pub(super) fn truth(&self, t_us: i64) -> Pose {
+    pub(super) fn true_pose(&self, t_us: i64) -> Pose {
         self.hand.at(t_us as f64 * 1e-6)
     }
 
@@ -63,7 +63,7 @@ impl<'a> Sampled<'a> {
             let t_us = until_us - k * self.period_us;
             let sample = ToolSample {
                 time: ServerTime::from_micros(t_us),
-                pose: self.truth(t_us),
+                pose: self.true_pose(t_us),
                 ..ToolSample::default()
             };
             let sent = as_sent(&sample).map_err(|e| {
@@ -78,15 +78,16 @@ impl<'a> Sampled<'a> {
     }
 }
 
-/// Colour of a method's line, and whether it is dashed. Lines for comparison are dashed and drawn on top.
-pub(super) fn look(method: Method) -> (&'static str, bool) {
-    match method {
+/// A method's line. Lines for comparison are dashed and drawn on top.
+pub(super) fn method_line(method: Method, points: impl IntoIterator<Item = (f64, f64)>) -> Line {
+    let (colour, dashed) = match method {
         Method::Hold => (GREY, true),
         Method::Linear => (GREEN, false),
         Method::VerletRaw => (ORANGE, true),
         Method::Verlet => (BLUE, false),
         Method::Hermite => (PURPLE, false),
-    }
+    };
+    Line::new(method.name(), colour, points).dashed(dashed)
 }
 
 /// Distance of two positions, m.

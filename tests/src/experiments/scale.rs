@@ -4,18 +4,14 @@
 //! test](crate::load_test) in virtual time on one thread. With [`REAL`] participants, a server process with
 //! QUIC connections is measured too.
 
-use std::sync::Arc;
-
 use palpate_server::host::TICK_HZ;
-use palpate_tissue::{Material, Model, block};
 use serde_json::{Value, json};
 
-use super::cells::of_file;
-use super::{Bench, Outcome, line, panel};
+use super::table::Column;
+use super::{Bench, Outcome, Table};
 use crate::bench::quantile;
-use crate::chart::{BLACK, BLUE, Chart, GREEN, GREY, ORANGE};
+use crate::chart::{BLACK, BLUE, Chart, GREEN, GREY, Line, ORANGE, Panel};
 use crate::load_test::{LoadTest, LoadTestResult, real, touching};
-use crate::network::Profile;
 use crate::simulated_session::host::Round;
 
 /// Numbers of participants.
@@ -32,19 +28,6 @@ const SECONDS: f64 = 5.0;
 
 /// Minimum delay of a late tick's start, ms: one step of virtual time, a thirtieth of the period.
 const LATE_MS: f64 = 1.0;
-
-fn soft_block() -> Model {
-    let material = Material {
-        name: "soft".into(),
-        young_pa: 1e4,
-        density_kg_m3: 1000.0,
-        friction_static: 0.4,
-        friction_dynamic: 0.3,
-        source: "a block for experiments".into(),
-        ..Material::default()
-    };
-    block([40, 40, 10], 5e-3, &material, 1)
-}
 
 fn shares(values: &[f64]) -> Value {
     json!({
@@ -89,21 +72,15 @@ fn row(n: usize, result: &LoadTestResult) -> Value {
 }
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
-    let model = bench
-        .model
-        .clone()
-        .unwrap_or_else(|| Arc::new(soft_block()));
-    let profile = match &bench.profile {
-        Some(profile) => profile.clone(),
-        None => Profile::named("metro").map_err(|e| e.to_string())?,
-    };
+    let model = bench.model_or_block([40, 40, 10]);
+    let profile = bench.profile_or("metro")?;
     let mut rows = Vec::new();
     for n in PARTICIPANTS {
         let load_test = LoadTest {
             model: &model,
             participants: n,
             profile: &profile,
-            seed: bench.seed,
+            seed: bench.seed(),
             seconds: SECONDS,
             tick_hz: TICK_HZ,
         };
@@ -116,7 +93,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         let real = real::Real {
             model: &model,
             participants: n,
-            seed: bench.seed,
+            seed: bench.seed(),
             seconds: SECONDS,
             dir: bench.dir,
         };
@@ -135,10 +112,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         ),
         charts: vec![("scale".to_owned(), chart(&rows))],
         tables: vec![
-            ("scale".to_owned(), table(&rows, &COLUMNS)),
+            ("scale".to_owned(), Table::of_objects(&rows, COLUMNS)),
             (
                 "scale-processes".to_owned(),
-                table(&processes, &PROCESS_COLUMNS),
+                Table::of_objects(&processes, PROCESS_COLUMNS),
             ),
         ],
         figures: json!({
@@ -183,78 +160,57 @@ fn chart(rows: &[Value]) -> Chart {
         let point = |r: &Value| (number(r, &["participants"]), number(r, path));
         rows.iter().map(point).collect()
     };
-    Chart {
-        title: "Server load against the number of participants".to_owned(),
-        x_label: "participants".to_owned(),
-        panels: vec![
-            panel(
-                "CPU time on one thread, 99th percentile",
-                "time per tick (ms)",
-                vec![
-                    line("tick", BLUE, over(&["tick_ms", "p99"])),
-                    line("decode", GREEN, over(&["decode_ms", "p99"])),
-                    line("fan-out", ORANGE, over(&["fan_out_ms", "p99"])),
-                    line("total", BLACK, over(&["all_ms", "p99"])),
-                    line("period", GREY, over(&["period_ms"])),
-                ],
-            ),
-            panel(
-                "Bandwidth of one participant, without QUIC overhead",
-                "rate (kbit/s)",
-                vec![
-                    line("up", BLUE, over(&["kbit_s", "up"])),
-                    line("down", ORANGE, over(&["kbit_s", "down"])),
-                ],
-            ),
-        ],
-        marks: Vec::new(),
-    }
+    let work = [
+        Line::new("tick", BLUE, over(&["tick_ms", "p99"])),
+        Line::new("decode", GREEN, over(&["decode_ms", "p99"])),
+        Line::new("fan-out", ORANGE, over(&["fan_out_ms", "p99"])),
+        Line::new("total", BLACK, over(&["all_ms", "p99"])),
+        Line::new("period", GREY, over(&["period_ms"])),
+    ];
+    let bandwidth = [
+        Line::new("up", BLUE, over(&["kbit_s", "up"])),
+        Line::new("down", ORANGE, over(&["kbit_s", "down"])),
+    ];
+    let work_title = "CPU time on one thread, 99th percentile";
+    let bandwidth_title = "Bandwidth of one participant, without QUIC overhead";
+    let panels = vec![
+        Panel::new(work_title, "time per tick (ms)", work),
+        Panel::new(bandwidth_title, "rate (kbit/s)", bandwidth),
+    ];
+    let title = "Server load against the number of participants";
+    Chart::new(title, "participants", panels)
 }
 
-/// Column headings of a table, and the paths of their figures in a row.
-type Columns<'a> = [(&'a str, &'a [&'a str])];
-
-const COLUMNS: [(&str, &[&str]); 14] = [
-    ("participants", &["participants"]),
-    ("touching", &["touching"]),
-    ("period_ms", &["period_ms"]),
-    ("tick_p50_ms", &["tick_ms", "p50"]),
-    ("tick_p99_ms", &["tick_ms", "p99"]),
-    ("tick_max_ms", &["tick_ms", "max"]),
-    ("decode_p99_ms", &["decode_ms", "p99"]),
-    ("fan_out_p99_ms", &["fan_out_ms", "p99"]),
-    ("all_p99_ms", &["all_ms", "p99"]),
-    ("late_p99_ms", &["late_ms", "p99"]),
-    ("late_ticks", &["late_ticks"]),
-    ("up_kbit_s", &["kbit_s", "up"]),
-    ("down_kbit_s", &["kbit_s", "down"]),
-    ("ok", &["ok"]),
+const COLUMNS: &[Column] = &[
+    ("participants", "participants", 1.0),
+    ("touching", "touching", 1.0),
+    ("period_ms", "period_ms", 1.0),
+    ("tick_p50_ms", "tick_ms.p50", 1.0),
+    ("tick_p99_ms", "tick_ms.p99", 1.0),
+    ("tick_max_ms", "tick_ms.max", 1.0),
+    ("decode_p99_ms", "decode_ms.p99", 1.0),
+    ("fan_out_p99_ms", "fan_out_ms.p99", 1.0),
+    ("all_p99_ms", "all_ms.p99", 1.0),
+    ("late_p99_ms", "late_ms.p99", 1.0),
+    ("late_ticks", "late_ticks", 1.0),
+    ("up_kbit_s", "kbit_s.up", 1.0),
+    ("down_kbit_s", "kbit_s.down", 1.0),
+    ("ok", "ok", 1.0),
 ];
 
-const PROCESS_COLUMNS: [(&str, &[&str]); 14] = [
-    ("participants", &["participants"]),
-    ("touching", &["touching"]),
-    ("period_ms", &["period_ms"]),
-    ("tick_p50_ms", &["tick_ms", "p50"]),
-    ("tick_p99_ms", &["tick_ms", "p99"]),
-    ("late_p99_ms", &["late_ms", "p99"]),
-    ("room_cores", &["room_cores"]),
-    ("network_cores", &["network_cores"]),
-    ("member_cores", &["member_cores"]),
-    ("memory_mb", &["memory_mb"]),
-    ("datagrams_skipped", &["datagrams_skipped"]),
-    ("up_kbit_s", &["up_kbit_s"]),
-    ("down_kbit_s", &["down_kbit_s"]),
-    ("ok", &["ok"]),
+const PROCESS_COLUMNS: &[Column] = &[
+    ("participants", "participants", 1.0),
+    ("touching", "touching", 1.0),
+    ("period_ms", "period_ms", 1.0),
+    ("tick_p50_ms", "tick_ms.p50", 1.0),
+    ("tick_p99_ms", "tick_ms.p99", 1.0),
+    ("late_p99_ms", "late_ms.p99", 1.0),
+    ("room_cores", "room_cores", 1.0),
+    ("network_cores", "network_cores", 1.0),
+    ("member_cores", "member_cores", 1.0),
+    ("memory_mb", "memory_mb", 1.0),
+    ("datagrams_skipped", "datagrams_skipped", 1.0),
+    ("up_kbit_s", "up_kbit_s", 1.0),
+    ("down_kbit_s", "down_kbit_s", 1.0),
+    ("ok", "ok", 1.0),
 ];
-
-fn table(rows: &[Value], columns: &Columns<'_>) -> String {
-    let head: Vec<&str> = columns.iter().map(|c| c.0).collect();
-    let mut text = head.join(",") + "\n";
-    for row in rows {
-        let cell = |path: &[&str]| of_file(path.iter().fold(row, |v, key| &v[*key]));
-        let cells: Vec<String> = columns.iter().map(|c| cell(c.1)).collect();
-        text += &(cells.join(",") + "\n");
-    }
-    text
-}

@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use palpate_device::script::WayPoint;
-use palpate_haptics::ChainConfig;
 use palpate_protocol::tool::ToolDescription;
 use palpate_tissue::{Material, Model, Region, RegionId, Vec3, block};
 use serde_json::json;
 
-use super::{Bench, Outcome, felt_and_true, panel, without_friction};
+use super::tissue::{Cases, force, panel, rendered_and_converged, straight, without_friction};
+use super::{Bench, Outcome};
 use crate::chart::{BLUE, Chart, GREEN, ORANGE};
-use crate::scenario::{Course, Scenario, path};
+use crate::scenario::ScenarioResult;
 
 const SPACING_M: f64 = 4e-3;
 const CELLS: [usize; 3] = [24, 12, 9];
@@ -19,7 +19,7 @@ const DEPTH_M: f64 = 8e-3;
 const SPEED_M_S: f64 = 0.05;
 
 /// Fat on the left and muscle on the right, on a pinned base.
-fn tissue() -> Result<Model, String> {
+fn tissue() -> Result<Arc<Model>, String> {
     let of = |name: &str| Material::resolve(name, None).map_err(|e| e.to_string());
     let mut model = block(CELLS, SPACING_M, &of("fat")?, 1);
     model.regions.push(Region {
@@ -40,72 +40,57 @@ fn tissue() -> Result<Model, String> {
 }
 
 /// A vertical press with a rest and a release.
-fn press_at(share: f64) -> Result<palpate_device::script::Script, String> {
+fn press_at(share: f64) -> Vec<WayPoint> {
     let [x, y, z] = [0, 1, 2].map(|i| CELLS[i] as f64 * SPACING_M);
     let top = Vec3::new(share * x, 0.5 * y, z + RADIUS_M);
-    let down = top - Vec3::z() * DEPTH_M;
     let takes = DEPTH_M / SPEED_M_S;
-    path(vec![
-        WayPoint::new(0.0, top + Vec3::z() * 1e-3),
-        WayPoint::new(0.05, top),
-        WayPoint::new(0.05 + takes, down).linear(),
-        WayPoint::new(0.15 + takes, down),
+    let mut path = straight(top, Vec3::z(), 1e-3, DEPTH_M, SPEED_M_S);
+    path.extend([
+        WayPoint::new(0.15 + takes, top - Vec3::z() * DEPTH_M),
         WayPoint::new(0.15 + 2.0 * takes, top + Vec3::z() * 1e-3).linear(),
-    ])
+    ]);
+    path
 }
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
-    let model = Arc::new(tissue()?);
+    let model = tissue()?;
     let spots = [
         ("on fat", 0.25, BLUE),
         ("between", 0.5, GREEN),
         ("on muscle", 0.75, ORANGE),
     ];
-    let (mut lines, mut figures, mut tables) = (Vec::new(), Vec::new(), Vec::new());
-    let mut largest = Vec::new();
+    let (mut cases, mut largest) = (Cases::default(), Vec::new());
     for (name, share, colour) in spots {
-        let scenario = Scenario {
-            model: Arc::clone(&model),
-            tool: ToolDescription::probe(RADIUS_M),
-            path: press_at(share)?,
-            chain: ChainConfig::default(),
-        };
-        let course = bench.run(name, &scenario);
-        lines.extend(felt_and_true(name, colour, &course, |p, truth| {
-            (p.t_s, truth.map_or(p.felt.force.z, |t| t.plain.force.z))
-        }));
-        let deviation = course.plain();
+        let tool = ToolDescription::probe(RADIUS_M);
+        let result = bench.simulate(name, &model, tool, press_at(share))?;
+        let lines = rendered_and_converged(name, colour, &result, |p, s| (p.t_s, force(p, s).z));
+        cases.lines.extend(lines);
+        let deviation = result.frictionless();
         largest.push(deviation.largest);
-        figures.push(json!({
-            "spot": name, "force_n": deviation.largest, "deviation": deviation, "sideways_n": sideways(&course),
+        cases.figures.push(json!({
+            "spot": name, "force_n": deviation.largest, "deviation": deviation, "sideways_n": sideways(&result),
         }));
-        tables.push((
-            format!("soft-hard-{}", name.replace(' ', "-")),
-            course.csv(),
-        ));
+        cases.add_table("soft-hard", name, &result);
     }
-    let chart = Chart {
-        title: "Soft and hard: a ball of 8 mm pressed 8 mm deep".to_owned(),
-        x_label: "time (s)".to_owned(),
-        panels: vec![panel("Force out of the tissue", "force (N)", lines)],
-        marks: Vec::new(),
-    };
+    let panels = vec![panel("Force out of the tissue", "force (N)", cases.lines)];
+    let title = "Soft and hard: a ball of 8 mm pressed 8 mm deep";
+    let chart = Chart::new(title, "time (s)", panels);
     Ok(Outcome {
         caption: "Fat and muscle side by side on a rigid base, pressed 8 mm deep at 50 mm/s by a ball of 8 mm. \
                   Between the two, the force has an intermediate magnitude and points towards the softer \
                   side."
             .to_owned(),
         figures: json!({
-            "experiment": "soft-hard", "spots": figures, "stiff_over_soft": largest[2] / largest[0],
+            "experiment": "soft-hard", "spots": cases.figures, "stiff_over_soft": largest[2] / largest[0],
         }),
         charts: vec![("soft-hard".to_owned(), chart)],
-        tables,
+        tables: cases.tables,
     })
 }
 
 /// Largest converged force along x, from soft to stiff, N.
-fn sideways(course: &Course) -> f64 {
-    let along = course.checked().map(|(_, t)| t.plain.force.x);
+fn sideways(result: &ScenarioResult) -> f64 {
+    let along = result.checked().map(|(_, s)| s.frictionless.force.x);
     along.fold(
         0.0,
         |most: f64, x| if x.abs() > most.abs() { x } else { most },

@@ -13,8 +13,6 @@
 //! motion's mean, normal to the axis of largest motion: F = k max(0, depth). The percentage is the rms
 //! error of F relative to the rms of the true F, so k cancels.
 
-use std::fmt::Write as _;
-
 use palpate_protocol::datagram::POSITION_STEP_M;
 use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{Pose, ServerTime, Span};
@@ -22,9 +20,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde_json::{Value, json};
 
-use super::samples::{HISTORY_US, Sampled, angle_deg, distance, look};
-use super::{Bench, Outcome, line};
-use crate::chart::{Chart, Panel, Scale};
+use super::samples::{HISTORY_US, Sampled, angle_deg, distance, method_line};
+use super::table::Column;
+use super::{Bench, Outcome, Table};
+use crate::chart::{Chart, Line, Panel};
 use crate::hand::Hand;
 
 /// Lengths of the gaps, ms.
@@ -126,22 +125,25 @@ struct Overall {
 impl Overall {
     fn of(sampled: &Sampled<'_>) -> Result<Self, String> {
         const AT_US: i64 = 7_310;
-        let (first, last) = sampled.room(0)?;
-        let places: Vec<[f64; 3]> = (first..=last.min(LONGEST_US))
+        let (first, last) = sampled.gap_range(0)?;
+        let positions: Vec<[f64; 3]> = (first..=last.min(LONGEST_US))
             .step_by(AT_US as usize)
-            .map(|t| sampled.truth(t).position_m)
+            .map(|t| sampled.true_pose(t).position_m)
             .collect();
-        let n = places.len() as f64;
-        let mean = |axis: usize| places.iter().map(|p| p[axis]).sum::<f64>() / n;
+        let n = positions.len() as f64;
+        let mean = |axis: usize| positions.iter().map(|p| p[axis]).sum::<f64>() / n;
         let spread = |axis: usize| {
             let mean = mean(axis);
-            places.iter().map(|p| (p[axis] - mean).powi(2)).sum::<f64>()
+            positions
+                .iter()
+                .map(|p| (p[axis] - mean).powi(2))
+                .sum::<f64>()
         };
         let axis = (0..3)
             .max_by(|a, b| spread(*a).total_cmp(&spread(*b)))
             .unwrap_or(0);
         let way = |p: &[[f64; 3]]| distance(p[0], p[1]).powi(2);
-        let squares = places.windows(2).map(way).sum::<f64>() / (n - 1.0).max(1.0);
+        let squares = positions.windows(2).map(way).sum::<f64>() / (n - 1.0).max(1.0);
         Ok(Self {
             axis,
             surface_m: mean(axis),
@@ -156,27 +158,9 @@ impl Overall {
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let hand = bench.hand();
-    let seed = bench.seed;
-    let mut said = |share| (bench.progress)("gaps", share);
-    let (rows, overall) = rows(&*hand, seed, GAPS, &mut said)?;
-    let mut table =
-        String::from("kind,method,rate_hz,gap_ms,rms_mm,max_mm,rms_deg,force_percent,n\n");
-    for r in &rows {
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            table,
-            "{},{},{},{},{:.6},{:.6},{:.6},{:.4},{}",
-            r.kind(),
-            r.method.name(),
-            r.rate_hz,
-            r.gap_ms,
-            r.rms_mm,
-            r.max_mm,
-            r.rms_deg,
-            r.force_percent,
-            r.n
-        );
-    }
+    let seed = bench.seed();
+    let mut report = |share| (bench.progress)("gaps", share);
+    let (rows, overall) = rows(&*hand, seed, GAPS, &mut report)?;
     let listed: Vec<Value> = rows.iter().map(Row::json).collect();
     Ok(Outcome {
         caption: format!(
@@ -187,44 +171,47 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             1e3 * POSITION_STEP_M
         ),
         figures: json!({
-            "experiment": "table-7-1", "seed": seed, "speed_rms_mm_s": 1e3 * overall.speed_rms_m_s, "rows": listed,
+            "experiment": "table-7-1", "seed": seed, "speed_rms_mm_s": 1e3 * overall.speed_rms_m_s, "rows": &listed,
         }),
         charts: vec![("table-7-1".to_owned(), chart(&rows))],
         tables: vec![
             ("table-7-1-by-gap".to_owned(), by_gap(&rows)),
-            ("table-7-1".to_owned(), table),
+            ("table-7-1".to_owned(), Table::of_objects(&listed, COLUMNS)),
         ],
     })
 }
 
+const COLUMNS: &[Column] = &[
+    ("kind", "kind", 1.0),
+    ("method", "method", 1.0),
+    ("rate_hz", "rate_hz", 1.0),
+    ("gap_ms", "gap_ms", 1.0),
+    ("rms_mm", "rms_mm", 1.0),
+    ("max_mm", "max_mm", 1.0),
+    ("rms_deg", "rms_deg", 1.0),
+    ("force_percent", "force_percent", 1.0),
+    ("n", "n", 1.0),
+];
+
 /// The table for a reader: rms in mm, with one column per gap length.
-fn by_gap(rows: &[Row]) -> String {
-    let mut table = String::from("rms_mm,rate_hz,method");
-    for gap_ms in GAPS_MS {
-        let _ = write!(table, ",{gap_ms} ms");
-    }
-    table.push('\n');
-    // Rows of one method differ in the gap length; the order of the gaps is preserved.
-    let mut of_gaps: Vec<(&Row, Vec<f64>)> = Vec::new();
+fn by_gap(rows: &[Row]) -> Table {
+    let mut table = Table::new("rms_mm,rate_hz,method");
+    table
+        .head
+        .extend(GAPS_MS.map(|gap_ms| format!("{gap_ms} ms")));
     for row in rows {
-        let key = |r: &Row| (r.interpolation, r.rate_hz, r.method);
-        match of_gaps.iter_mut().find(|(first, _)| key(first) == key(row)) {
-            Some((_, cells)) => cells.push(row.rms_mm),
-            None => of_gaps.push((row, vec![row.rms_mm])),
-        }
-    }
-    for (row, cells) in of_gaps {
-        let _ = write!(
-            table,
-            "{},{},{}",
-            row.kind(),
-            row.rate_hz,
-            row.method.name()
-        );
-        for mm in cells {
-            let _ = write!(table, ",{mm:.4}");
-        }
-        table.push('\n');
+        let key = [
+            row.kind().to_owned(),
+            row.rate_hz.to_string(),
+            row.method.name().to_owned(),
+        ];
+        // Rows of one method differ in the gap length; the order of the gaps is preserved.
+        let known = table.rows.iter().position(|cells| cells.starts_with(&key));
+        let at = known.unwrap_or_else(|| {
+            table.rows.push(key.into());
+            table.rows.len() - 1
+        });
+        table.rows[at].push(format!("{:.4}", row.rms_mm));
     }
     table
 }
@@ -234,7 +221,7 @@ fn rows(
     hand: &dyn Hand,
     seed: u64,
     gaps: usize,
-    said: &mut dyn FnMut(f64),
+    report: &mut dyn FnMut(f64),
 ) -> Result<(Vec<Row>, Overall), String> {
     let mut rows = Vec::new();
     let overall = Overall::of(&Sampled::new(hand, RATES_HZ[0])?)?;
@@ -242,7 +229,7 @@ fn rows(
     for (i, rate_hz) in RATES_HZ.into_iter().enumerate() {
         let sampled = Sampled::new(hand, rate_hz)?;
         for (k, gap_ms) in GAPS_MS.into_iter().enumerate() {
-            said((i * GAPS_MS.len() + k) as f64 / total);
+            report((i * GAPS_MS.len() + k) as f64 / total);
             let mut rng = Pcg64::seed_from_u64(seed);
             let sums = sums(&sampled, overall, gap_ms, gaps, &mut rng)?;
             for (s, interpolation) in sums.iter().zip([false, true]) {
@@ -267,14 +254,14 @@ fn sums(
     let gap_us = gap_ms * 1000;
     // The next sample follows a whole number of periods after the last.
     let missing_us = (gap_us + sampled.period_us - 1) / sampled.period_us * sampled.period_us;
-    let (first, last) = sampled.room(missing_us + HISTORY_US)?;
+    let (first, last) = sampled.gap_range(missing_us + HISTORY_US)?;
     let share = (last.min(LONGEST_US) - first) as f64 / gaps as f64;
     let mut sums = [[Sum::default(); 5]; 2];
     for k in 0..gaps {
         let began = first + ((k as f64 + rng.random_range(0.0..1.0)) * share) as i64;
         let truth: Vec<Pose> = (STEP_US..=missing_us)
             .step_by(STEP_US as usize)
-            .map(|t| sampled.truth(began + t))
+            .map(|t| sampled.true_pose(began + t))
             .collect();
         for (m, method) in Method::ALL.into_iter().enumerate() {
             let mut timeline = Timeline::new(method, Span::from_micros(missing_us));
@@ -308,50 +295,35 @@ fn sums(
 fn chart(rows: &[Row]) -> Chart {
     let panel = |interpolation: bool, rate_hz: u32| {
         let lines = Method::ALL.into_iter().map(|method| {
-            let (colour, dashed) = look(method);
             let points = (rows.iter())
                 .filter(|r| r.interpolation == interpolation && r.rate_hz == rate_hz)
                 .filter(|r| r.method == method)
                 .map(|r| (r.gap_ms as f64, r.rms_mm));
-            super::Line {
-                dashed,
-                ..line(method.name(), colour, points.collect())
-            }
+            method_line(method, points)
         });
-        let mut lines: Vec<super::Line> = lines.collect();
-        lines.sort_by_key(|l| l.dashed);
-        Panel {
-            title: format!(
-                "{} at {rate_hz} Hz",
-                if interpolation {
-                    "Interpolation"
-                } else {
-                    "Extrapolation"
-                }
-            ),
-            y_label: "rms distance (mm)".to_owned(),
-            // Errors range from micrometres to millimetres.
-            scale: Scale::Logarithmic,
+        let mut lines: Vec<Line> = lines.collect();
+        lines.sort_by_key(Line::is_dashed);
+        let kind = ["Extrapolation", "Interpolation"][usize::from(interpolation)];
+        // Errors range from micrometres to millimetres.
+        Panel::new(
+            format!("{kind} at {rate_hz} Hz"),
+            "rms distance (mm)",
             lines,
-        }
+        )
+        .logarithmic()
     };
-    Chart {
-        title: "Missing samples: distance to the true motion".to_owned(),
-        x_label: "gap length (ms)".to_owned(),
-        panels: vec![
-            panel(false, RATES_HZ[0]),
-            panel(false, RATES_HZ[3]),
-            panel(true, RATES_HZ[0]),
-            panel(true, RATES_HZ[3]),
-        ],
-        marks: Vec::new(),
-    }
+    let kinds = [false, true].into_iter();
+    let panels = kinds.flat_map(|kind| [RATES_HZ[0], RATES_HZ[3]].map(|rate| panel(kind, rate)));
+    let title = "Missing samples: distance to the true motion";
+    Chart::new(title, "gap length (ms)", panels.collect())
 }
 
 #[cfg(test)]
 mod tests {
+    use palpate_device::backend::replay::Motion;
+
     use super::*;
-    use crate::hand::{Random, Recorded, Temper};
+    use crate::hand::{HandParameters, Random};
 
     fn table(hand: &dyn Hand, seed: u64, gaps: usize) -> Vec<Row> {
         rows(hand, seed, gaps, &mut |_| ()).unwrap().0
@@ -380,7 +352,7 @@ mod tests {
     #[test]
     fn verlet_is_more_accurate_than_linear_for_any_seed() {
         for seed in 1..=4 {
-            let rows = table(&Random::new(Temper::default(), seed), seed, 100);
+            let rows = table(&Random::new(HandParameters::default(), seed), seed, 100);
             beats(&rows, false, 50);
             beats(&rows, true, 100);
             let row = |r: &&Row| {
@@ -394,7 +366,7 @@ mod tests {
 
     #[test]
     fn extrapolated_orientations_are_more_accurate_than_held_ones() {
-        let rows = table(&Random::new(Temper::default(), 1), 1, 50);
+        let rows = table(&Random::new(HandParameters::default(), 1), 1, 50);
         for row in rows.iter().filter(|r| r.method == Method::Verlet) {
             let held = (rows.iter())
                 .find(|r| {
@@ -409,22 +381,16 @@ mod tests {
 
     #[test]
     fn table_by_gap_has_one_row_per_method_and_one_cell_per_gap() {
-        let rows = table(&Random::new(Temper::default(), 1), 1, 5);
-        let text = by_gap(&rows);
-        assert_eq!(
-            text.lines().count(),
-            1 + 2 * RATES_HZ.len() * Method::ALL.len()
-        );
-        assert!(
-            text.lines()
-                .all(|l| l.split(',').count() == 3 + GAPS_MS.len())
-        );
+        let rows = table(&Random::new(HandParameters::default(), 1), 1, 5);
+        let table = by_gap(&rows);
+        assert_eq!(table.rows.len(), 2 * RATES_HZ.len() * Method::ALL.len());
+        assert!(table.rows.iter().all(|row| row.len() == 3 + GAPS_MS.len()));
     }
 
     #[test]
     fn too_short_motion_is_rejected_with_its_length() {
         let text = "time_s,x_m,y_m,z_m\n0,0,0,0\n0.05,0,0,0\n0.1,0,0,0\n";
-        let hand = Recorded::parse(text).unwrap();
+        let hand = Motion::from_table(text).unwrap();
         let said = rows(&hand, 1, 10, &mut |_| ()).unwrap_err();
         assert!(said.contains("the motion lasts 0.100 s"), "{said}");
     }

@@ -4,19 +4,15 @@
 //! One [session](crate::simulated_session) is simulated per network. Distances are measured at every view, from the
 //! server's shape at the shown time, over all displaced surface nodes.
 
-use std::sync::Arc;
-
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
-use palpate_tissue::Topology;
-use serde_json::{Value, json};
+use serde_json::json;
 
-use super::cells::of_file;
-use super::replicas::soft_block;
-use super::{Bench, Outcome, missed_by};
+use super::replicas::SMALL_BLOCK;
+use super::table::Column;
+use super::{Bench, Outcome, Table, missed_by};
 use crate::network::Profile;
 use crate::scripts::Scripts;
 use crate::simulated_session::{SessionResult, SimulatedSession, ThinSpectatorResult};
-use crate::tool_location::ToolLocation;
 
 /// Length of the session's scripts, s.
 const SECONDS: f64 = 6.0;
@@ -36,22 +32,17 @@ const REST_MM: f64 = 0.0501;
 const NETWORKS: [&str; 4] = ["lan", "transatlantic", "intercontinental", "wifi-bursts"];
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
-    let model = bench
-        .model
-        .clone()
-        .unwrap_or_else(|| Arc::new(soft_block()));
-    let place =
-        ToolLocation::find(&Topology::new(Arc::clone(&model))).map_err(|e| e.to_string())?;
-    let scripts = Scripts::for_place(&place, SECONDS).map_err(|e| e.to_string())?;
+    let model = bench.model_or_block(SMALL_BLOCK);
+    let scripts = Scripts::for_model(&model, SECONDS)?;
     let scripts = [&scripts.holder, &scripts.cutter];
-    let networks: Vec<Profile> = match &bench.profile {
+    let networks: Vec<Profile> = match &bench.inputs.profile {
         Some(profile) => vec![profile.clone()],
         None => NETWORKS
             .iter()
             .filter_map(|n| Profile::named(n).ok())
             .collect(),
     };
-    let (mut rows, mut table) = (Vec::new(), String::from(HEADER));
+    let mut rows = Vec::new();
     for (k, profile) in networks.iter().enumerate() {
         let session = SimulatedSession {
             model: &model,
@@ -59,7 +50,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             motion_only: true,
             onlookers: 1,
             profile,
-            seed: bench.seed,
+            seed: bench.seed(),
             compensation: CompensationSettings {
                 mode: CompensationMode::Adaptive { cap_us: CAP_US },
                 initial_delay_us: 100_000,
@@ -81,12 +72,12 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             "ok": missed.is_empty(),
             "missed": missed,
         });
-        table.push_str(&csv(&row));
         rows.push(row);
     }
     let mut figures = rows.first().cloned().unwrap_or_default();
     figures["experiment"] = json!("thin");
     figures["nodes"] = json!(model.nodes.len());
+    let table = Table::of_objects(&rows, COLUMNS);
     let missed = missed_by(&rows);
     figures["networks"] = json!(rows);
     figures["ok"] = json!(missed.is_empty());
@@ -111,46 +102,39 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
 fn missed(profile: &Profile, thin: &ThinSpectatorResult, done: &SessionResult) -> Vec<String> {
     let (rate, rest_mm) = (thin.bits_per_s_max, thin.rest_mm.max);
     let mut missed = Vec::new();
-    let mut say = |what: String| missed.push(format!("{}: {what}", profile.name));
+    let mut miss = |what: String| missed.push(format!("{}: {what}", profile.name));
     // NaN also misses the limit.
     if rate.is_nan() || rate > RATE_MAX {
-        say(format!(
+        miss(format!(
             "{rate:.0} bit/s in one second, limit {RATE_MAX:.0}"
         ));
     }
     if rest_mm.is_nan() || rest_mm > REST_MM {
-        say(format!(
+        miss(format!(
             "the shown tissue at rest is off by {rest_mm:.4} mm, limit {REST_MM}"
         ));
     }
     if !done.hashes_equal() {
-        say("topologies differ at the end".to_owned());
+        miss("topologies differ at the end".to_owned());
     }
     if let [first, ..] = &done.troubles[..] {
         let n = done.troubles.len();
-        say(format!("{n} errors; the first: {first}"));
+        miss(format!("{n} errors; the first: {first}"));
     }
     missed
 }
 
-const HEADER: &str = "network,apart_p50_mm,apart_p95_mm,apart_max_mm,rest_max_mm,kbit_s,kbit_s_worst_second,bits_per_node,nodes_waiting_max,lag_ms,hashes_equal,ok\n";
-
-fn csv(row: &Value) -> String {
-    let thin = &row["thin"];
-    let kbit = |key: &str| json!(thin[key].as_f64().map(|bits| bits * 1e-3));
-    let cells = [
-        &row["profile"],
-        &thin["apart_mm"]["p50"],
-        &thin["apart_mm"]["p95"],
-        &thin["apart_mm"]["max"],
-        &thin["rest_mm"]["max"],
-        &kbit("bits_per_s"),
-        &kbit("bits_per_s_max"),
-        &thin["bits_per_node"],
-        &thin["waiting_max"],
-        &thin["lag_ms"],
-        &row["hashes_equal"],
-        &row["ok"],
-    ];
-    cells.map(of_file).join(",") + "\n"
-}
+const COLUMNS: &[Column] = &[
+    ("network", "profile", 1.0),
+    ("apart_p50_mm", "thin.apart_mm.p50", 1.0),
+    ("apart_p95_mm", "thin.apart_mm.p95", 1.0),
+    ("apart_max_mm", "thin.apart_mm.max", 1.0),
+    ("rest_max_mm", "thin.rest_mm.max", 1.0),
+    ("kbit_s", "thin.bits_per_s", 1e-3),
+    ("kbit_s_worst_second", "thin.bits_per_s_max", 1e-3),
+    ("bits_per_node", "thin.bits_per_node", 1.0),
+    ("nodes_waiting_max", "thin.waiting_max", 1.0),
+    ("lag_ms", "thin.lag_ms", 1.0),
+    ("hashes_equal", "hashes_equal", 1.0),
+    ("ok", "ok", 1.0),
+];

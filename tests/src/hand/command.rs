@@ -5,8 +5,8 @@ use std::process::ExitCode;
 
 use clap::Args;
 
-use super::{Hand, Random, Temper};
-use crate::cli::say;
+use super::{Hand, HandParameters, Random};
+use crate::cli::print_line;
 
 /// Maximum rows of a table, three hours at 1 kHz: the limit of the reader.
 const ROWS_MAX: f64 = 1.1e7;
@@ -42,7 +42,7 @@ pub(crate) struct Arguments {
 
 /// Writes the motion.
 pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
-    say(table(arguments)?.trim_end())?;
+    print_line(table(arguments)?.trim_end())?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -62,12 +62,12 @@ fn table(arguments: &Arguments) -> Result<String, String> {
             "{rows:.0} rows are more than {ROWS_MAX}: write fewer seconds or samples"
         ));
     }
-    let temper = Temper {
+    let parameters = HandParameters {
         speed_rms_m_s: 1e-3 * between("speed-mm-s", arguments.speed_mm_s, (0.0, 5000.0))?,
         tremor_m: 1e-3 * between("tremor-mm", arguments.tremor_mm, (0.0, 100.0))?,
-        ..Temper::default()
+        ..HandParameters::default()
     };
-    let hand = Random::new(temper, arguments.seed);
+    let hand = Random::new(parameters, arguments.seed);
     let mut table = String::from("time_s,x_m,y_m,z_m,qw,qx,qy,qz\n");
     for k in 0..=rows.floor() as u32 {
         let t_s = f64::from(k) / rate_hz;
@@ -87,7 +87,8 @@ fn table(arguments: &Arguments) -> Result<String, String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Recorded;
+    use palpate_device::backend::replay::Motion;
+
     use super::*;
 
     fn arguments() -> Arguments {
@@ -102,11 +103,11 @@ mod tests {
 
     #[test]
     fn written_motion_reads_back_equal() {
-        let read = Recorded::parse(&table(&arguments()).unwrap()).unwrap();
-        let hand = Random::new(Temper::default(), 3);
+        let read = Motion::from_table(&table(&arguments()).unwrap()).unwrap();
+        let hand = Random::new(HandParameters::default(), 3);
         for k in 1..200 {
             let t_s = f64::from(k) * 0.009_871;
-            let (a, b) = (read.at(t_s), hand.at(t_s));
+            let (a, b) = (Hand::at(&read, t_s), hand.at(t_s));
             for (a, b) in a.position_m.iter().zip(b.position_m) {
                 assert!((a - b).abs() < 1e-6, "{t_s}: {a} {b}");
             }

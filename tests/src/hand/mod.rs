@@ -2,19 +2,18 @@
 //!
 //! | | motion |
 //! | --- | --- |
-//! | [`Recorded`] | a recorded hand, from a table of times and positions |
+//! | [`Motion`] | a recorded hand, from a table or a recording of a session |
 //! | [`Random`] | band-limited, with tremor, from a seed |
 //! | [`Script`] | way points, as the demo and the experiments use them |
 
 pub(crate) mod command;
 mod random;
-mod recorded;
 
 use palpate_device::Script;
+use palpate_device::backend::replay::Motion;
 use palpate_protocol::Pose;
 
-pub use random::{Random, Temper};
-pub use recorded::{MotionFileError, Recorded};
+pub use random::{HandParameters, Random};
 
 /// A motion that is known at every moment.
 pub trait Hand: Send + Sync {
@@ -36,6 +35,18 @@ impl Hand for Script {
         } else {
             self.end_s()
         }
+    }
+}
+
+impl Hand for Motion {
+    fn at(&self, t_s: f64) -> Pose {
+        // The search begins at the row before that time, so that random access is cheap.
+        let after = self.moments().partition_point(|m| m.t_s <= t_s);
+        pose(&Self::at(self, t_s, &mut after.saturating_sub(1)).0.pose)
+    }
+
+    fn length_s(&self) -> f64 {
+        Self::length_s(self)
     }
 }
 

@@ -32,7 +32,7 @@ const TREMOR: usize = 3;
 
 /// Parameters of a random hand.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Temper {
+pub struct HandParameters {
     /// Rms speed of the slow part, m/s.
     pub speed_rms_m_s: f64,
     /// Amplitude of the tremor on each axis, m: √2 times its rms, as for one sine.
@@ -43,7 +43,7 @@ pub struct Temper {
     pub tremor_rad: f64,
 }
 
-impl Default for Temper {
+impl Default for HandParameters {
     /// The hand that reproduces table 7.1: 87 mm/s and 0.1 mm. Its rotation is that about a wrist 0.1 m away
     /// (reconstructed; the source has no rotations): 0.87 rad/s and 1 mrad.
     fn default() -> Self {
@@ -73,11 +73,11 @@ pub struct Random {
 
 impl Random {
     /// The hand with these parameters and this seed.
-    pub fn new(temper: Temper, seed: u64) -> Self {
+    pub fn new(parameters: HandParameters, seed: u64) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed);
         // Positions first, so that they do not depend on the rotation.
-        let along = sines(&mut rng, temper.speed_rms_m_s, temper.tremor_m);
-        let about = sines(&mut rng, temper.turn_rms_rad_s, temper.tremor_rad);
+        let along = sines(&mut rng, parameters.speed_rms_m_s, parameters.tremor_m);
+        let about = sines(&mut rng, parameters.turn_rms_rad_s, parameters.tremor_rad);
         Self { along, about }
     }
 }
@@ -156,16 +156,16 @@ mod tests {
     #[test]
     fn speed_and_tremor_match_the_parameters() {
         for seed in 0..4 {
-            let calm = Temper {
+            let calm = HandParameters {
                 tremor_m: 0.0,
-                ..Temper::default()
+                ..HandParameters::default()
             };
             let slow = rms(|t| speed(&Random::new(calm, seed), t));
             assert!((slow / 0.087 - 1.0).abs() < 0.02, "{slow} m/s");
-            let still = Temper {
+            let still = HandParameters {
                 speed_rms_m_s: 0.0,
                 tremor_m: 2e-4,
-                ..Temper::default()
+                ..HandParameters::default()
             };
             let hand = Random::new(still, seed);
             for axis in 0..3 {
@@ -185,9 +185,9 @@ mod tests {
             q(t_s).angle_to(&q(t_s + 1e-4)) / 1e-4
         };
         for seed in 0..4 {
-            let calm = Temper {
+            let calm = HandParameters {
                 tremor_rad: 0.0,
-                ..Temper::default()
+                ..HandParameters::default()
             };
             let rate = rms(|t| turned(&Random::new(calm, seed), t));
             assert!((rate / 0.87 - 1.0).abs() < 0.05, "{rate} rad/s");
@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     fn equal_seeds_give_equal_hands() {
-        let at = |seed| Random::new(Temper::default(), seed).at(1.234);
+        let at = |seed| Random::new(HandParameters::default(), seed).at(1.234);
         assert_eq!(at(3), at(3));
         assert_ne!(at(3), at(4));
     }

@@ -54,28 +54,12 @@ impl Class {
     pub fn of_seed(seed: u64) -> Self {
         Self::ALL[(seed % Self::ALL.len() as u64) as usize]
     }
-
-    /// Its name.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::SolverStall => "solver-stall",
-            Self::LinkLost => "link-lost",
-            Self::BadModels => "bad-models",
-            Self::BadPoses => "bad-poses",
-            Self::Unplugged => "unplugged",
-            Self::Refused => "refused",
-            Self::Clamped => "clamped",
-            Self::Stopped => "stopped",
-            Self::ClockAhead => "clock-ahead",
-            Self::ClockBack => "clock-back",
-            Self::Several => "several",
-        }
-    }
 }
 
 impl fmt::Display for Class {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.word())
+        // The name in JSON.
+        self.serialize(f)
     }
 }
 
@@ -137,7 +121,7 @@ impl BadPose {
 
 /// A fault with its parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum What {
+pub enum FaultKind {
     /// See [`Class::SolverStall`].
     SolverStall,
     /// See [`Class::LinkLost`].
@@ -180,7 +164,7 @@ pub enum What {
     },
 }
 
-impl What {
+impl FaultKind {
     /// Its class.
     pub fn class(self) -> Class {
         match self {
@@ -202,7 +186,7 @@ impl What {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fault {
     /// The fault.
-    pub what: What,
+    pub what: FaultKind,
     /// Begin, µs of the run.
     pub from_us: i64,
     /// End, µs of the run.
@@ -233,35 +217,35 @@ impl Fault {
     }
 }
 
-fn what(class: Class, rng: &mut Pcg64) -> What {
+fn what(class: Class, rng: &mut Pcg64) -> FaultKind {
     let every = if rng.random_bool(0.6) {
         1
     } else {
         rng.random_range(2..=6)
     };
     match class {
-        Class::SolverStall | Class::Several => What::SolverStall,
-        Class::LinkLost => What::LinkLost,
-        Class::BadModels => What::BadModels {
+        Class::SolverStall | Class::Several => FaultKind::SolverStall,
+        Class::LinkLost => FaultKind::LinkLost,
+        Class::BadModels => FaultKind::BadModels {
             how: BadModel::ALL[rng.random_range(0..BadModel::ALL.len())],
             every,
         },
-        Class::BadPoses => What::BadPoses {
+        Class::BadPoses => FaultKind::BadPoses {
             how: BadPose::ALL[rng.random_range(0..BadPose::ALL.len())],
             every,
         },
-        Class::Unplugged => What::Unplugged {
+        Class::Unplugged => FaultKind::Unplugged {
             forgets: rng.random_bool(0.7),
         },
-        Class::Refused => What::Refused { every },
-        Class::Clamped => What::Clamped {
+        Class::Refused => FaultKind::Refused { every },
+        Class::Clamped => FaultKind::Clamped {
             to_n: rng.random_range(0.0..3.0),
         },
-        Class::Stopped => What::Stopped,
-        Class::ClockAhead => What::Clock {
+        Class::Stopped => FaultKind::Stopped,
+        Class::ClockAhead => FaultKind::Clock {
             by_us: jump_us(rng),
         },
-        Class::ClockBack => What::Clock {
+        Class::ClockBack => FaultKind::Clock {
             by_us: -jump_us(rng),
         },
     }
@@ -282,16 +266,18 @@ impl fmt::Display for Fault {
             }
         };
         match self.what {
-            What::SolverStall => write!(f, "the solver stalls")?,
-            What::LinkLost => write!(f, "the link is lost")?,
-            What::BadModels { how, every: n } => write!(f, "bad models ({how:?}{})", every(n))?,
-            What::BadPoses { how, every: n } => write!(f, "bad poses ({how:?}{})", every(n))?,
-            What::Unplugged { forgets: true } => write!(f, "unplugged, motors off when back")?,
-            What::Unplugged { forgets: false } => write!(f, "unplugged")?,
-            What::Refused { every: n } => write!(f, "writes refused{}", every(n))?,
-            What::Clamped { to_n } => write!(f, "clamped to {to_n:.1} N")?,
-            What::Stopped => write!(f, "the process is stopped")?,
-            What::Clock { by_us } => write!(f, "the clock jumps by {} ms", by_us / 1000)?,
+            FaultKind::SolverStall => write!(f, "the solver stalls")?,
+            FaultKind::LinkLost => write!(f, "the link is lost")?,
+            FaultKind::BadModels { how, every: n } => {
+                write!(f, "bad models ({how:?}{})", every(n))?;
+            }
+            FaultKind::BadPoses { how, every: n } => write!(f, "bad poses ({how:?}{})", every(n))?,
+            FaultKind::Unplugged { forgets: true } => write!(f, "unplugged, motors off when back")?,
+            FaultKind::Unplugged { forgets: false } => write!(f, "unplugged")?,
+            FaultKind::Refused { every: n } => write!(f, "writes refused{}", every(n))?,
+            FaultKind::Clamped { to_n } => write!(f, "clamped to {to_n:.1} N")?,
+            FaultKind::Stopped => write!(f, "the process is stopped")?,
+            FaultKind::Clock { by_us } => write!(f, "the clock jumps by {} ms", by_us / 1000)?,
         }
         let lasts_ms = (self.until_us - self.from_us) / 1000;
         if lasts_ms > 0 {

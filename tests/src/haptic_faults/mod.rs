@@ -16,22 +16,22 @@
 //! | --- | --- |
 //! | `fault` | classes and parameters of faults |
 //! | `plan` | the run of a seed |
-//! | `rig` | the device with fault injection |
+//! | `faulty_device` | the device with fault injection |
 //! | `tissue` | the spring tissue and its contact models |
-//! | `course` | one run in virtual time |
+//! | `run` | one run in virtual time |
 //! | `oracle` | the laws and their check per tick |
 //! | `outcome` | the figures per class of fault |
-//! | `picture` | one run as a table and a chart |
+//! | `run_plot` | one run as a table and a chart |
 //!
 //! [`HandLoop`]: palpate_client::realtime::HandLoop
 
-pub mod course;
 pub mod fault;
+pub mod faulty_device;
 pub mod oracle;
 pub mod outcome;
-pub mod picture;
 pub mod plan;
-pub mod rig;
+pub mod run;
+pub mod run_plot;
 #[cfg(test)]
 mod tests;
 pub mod tissue;
@@ -40,9 +40,9 @@ use nalgebra::Vector3;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::{DeviceCaps, HapticDevice, Script, ScriptError};
 
-use course::{Run, Setup, comes_back, run};
 use outcome::Outcome;
 use plan::Plan;
+use run::{Run, Setup, check_return, simulate};
 
 /// Capabilities of a desktop device.
 fn desktop() -> Result<DeviceCaps, ScriptError> {
@@ -52,16 +52,16 @@ fn desktop() -> Result<DeviceCaps, ScriptError> {
 
 /// The plan of a seed, and its runs with and without faults.
 #[derive(Debug, Clone)]
-pub struct Trial {
+pub struct SeedResult {
     /// The plan.
     pub plan: Plan,
     /// The run with faults.
-    pub run: Run,
+    pub faulty: Run,
     /// The run of the same hand, tissue and device without faults.
-    pub without: Run,
+    pub fault_free: Run,
 }
 
-impl Trial {
+impl SeedResult {
     /// Runs a seed.
     ///
     /// # Errors
@@ -69,20 +69,20 @@ impl Trial {
     /// If the script of the seed is invalid.
     pub fn of(seed: u64, setup: &Setup) -> Result<Self, ScriptError> {
         let plan = Plan::of(seed, &desktop()?)?;
-        let mut faulty = run(&plan, setup);
-        let mut without = run(&plan.without_faults(), setup);
-        comes_back(&plan, &mut faulty, &without);
+        let mut faulty = simulate(&plan, setup);
+        let mut fault_free = simulate(&plan.without_faults(), setup);
+        check_return(&plan, &mut faulty, &fault_free);
         // The laws hold without faults too.
-        faulty.broken.append(&mut without.broken);
+        faulty.broken.append(&mut fault_free.broken);
         Ok(Self {
             plan,
-            run: faulty,
-            without,
+            faulty,
+            fault_free,
         })
     }
 }
 
-/// Runs `seeds` and reports progress; ends early when `told` returns `false`.
+/// Runs `seeds` and reports progress; ends early when `report_progress` returns `false`.
 ///
 /// # Errors
 ///
@@ -90,12 +90,12 @@ impl Trial {
 pub fn all(
     seeds: std::ops::Range<u64>,
     setup: &Setup,
-    told: &mut dyn FnMut(u64, &Outcome) -> bool,
+    report_progress: &mut dyn FnMut(u64, &Outcome) -> bool,
 ) -> Result<Outcome, ScriptError> {
     let mut outcome = Outcome::default();
     for seed in seeds {
-        outcome.take(&Trial::of(seed, setup)?);
-        if !told(seed, &outcome) {
+        outcome.take(&SeedResult::of(seed, setup)?);
+        if !report_progress(seed, &outcome) {
             break;
         }
     }

@@ -6,7 +6,7 @@ use palpate_device::Wrench;
 use palpate_haptics::Chain;
 use serde::Serialize;
 
-use super::rig::Write;
+use super::faulty_device::Write;
 
 /// Relative tolerance for rounding.
 const ROUNDING: f64 = 1.0 + 1e-9;
@@ -101,7 +101,7 @@ impl Bounds {
 
 /// Observation of one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Look {
+pub struct Observation {
     /// Run time, µs.
     pub at_us: i64,
     /// Run time without stops of the process, µs.
@@ -150,7 +150,7 @@ impl Oracle {
     }
 
     /// Records a broken law.
-    pub fn accuse(&mut self, law: Law, at_us: i64, detail: String) {
+    pub fn report(&mut self, law: Law, at_us: i64, detail: String) {
         if self.broken.len() < KEPT_MAX {
             self.broken.push(Broken {
                 law,
@@ -161,35 +161,37 @@ impl Oracle {
     }
 
     /// Checks a tick; returns the force change without that of the device itself, N.
-    pub fn look(&mut self, look: &Look) -> f64 {
-        let delta_n = self.look_at_steps(look);
-        let Write { asked, after, .. } = look.write;
-        if !asked.is_finite() {
-            self.accuse(Law::FiniteWrites, look.at_us, format!("{asked:?}"));
+    pub fn check(&mut self, observed: &Observation) -> f64 {
+        let delta_n = self.check_steps(observed);
+        let Write {
+            commanded, after, ..
+        } = observed.write;
+        if !commanded.is_finite() {
+            self.report(Law::FiniteWrites, observed.at_us, format!("{commanded:?}"));
         }
         for (what, n) in [
-            ("asked for", asked.force.norm()),
+            ("commanded for", commanded.force.norm()),
             ("rendered", after.force.norm()),
         ] {
             if n > self.bounds.force_n * ROUNDING {
                 let detail = format!("{n:.3} N {what}, {:.3} are allowed", self.bounds.force_n);
-                self.accuse(Law::ForceLimit, look.at_us, detail);
+                self.report(Law::ForceLimit, observed.at_us, detail);
             }
         }
-        self.look_at_source(look);
+        self.check_source(observed);
         self.last = after;
         delta_n
     }
 
-    fn look_at_steps(&mut self, look: &Look) -> f64 {
+    fn check_steps(&mut self, observed: &Observation) -> f64 {
         let Write {
-            asked,
+            commanded,
             before,
             after,
             obeyed,
             is_on,
-        } = look.write;
-        let say = |what: &str, from: &Wrench, to: &Wrench| {
+        } = observed.write;
+        let describe = |what: &str, from: &Wrench, to: &Wrench| {
             format!(
                 "{what} from {:.4?} to {:.4?} N: {:.4} N, {:.4} are allowed",
                 from.force.as_slice(),
@@ -199,32 +201,36 @@ impl Oracle {
             )
         };
         // Ramping motors render only a share of the command, so the two are not comparable.
-        if is_on && self.bounds.is_step(&before, &asked) {
-            let detail = say("written", &before, &asked);
-            self.accuse(Law::WrittenStep, look.at_us, detail);
-            return (asked.force - before.force).norm();
+        if is_on && self.bounds.is_step(&before, &commanded) {
+            let detail = describe("written", &before, &commanded);
+            self.report(Law::WrittenStep, observed.at_us, detail);
+            return (commanded.force - before.force).norm();
         }
         // A force drop by the device is exempt; later changes count again.
-        let from = if look.cut_n > 0.0 { before } else { self.last };
+        let from = if observed.cut_n > 0.0 {
+            before
+        } else {
+            self.last
+        };
         if obeyed {
             let delta = (after.force - from.force).norm();
             self.max_delta_n = self.max_delta_n.max(delta);
             if self.bounds.is_step(&from, &after) {
-                let detail = say("rendered", &from, &after);
-                self.accuse(Law::RenderedStep, look.at_us, detail);
+                let detail = describe("rendered", &from, &after);
+                self.report(Law::RenderedStep, observed.at_us, detail);
             }
             return delta;
         }
         if after.force.norm() > from.force.norm() + self.bounds.step_n * ROUNDING {
-            let detail = say("rendered", &from, &after);
-            self.accuse(Law::RenderedStep, look.at_us, detail);
+            let detail = describe("rendered", &from, &after);
+            self.report(Law::RenderedStep, observed.at_us, detail);
         }
         0.0
     }
 
-    fn look_at_source(&mut self, look: &Look) {
-        let stands_n = look.write.after.force.norm();
-        let Some(since_us) = look.lost_since_us else {
+    fn check_source(&mut self, observed: &Observation) {
+        let stands_n = observed.write.after.force.norm();
+        let Some(since_us) = observed.lost_since_us else {
             self.loss = None;
             return;
         };
@@ -237,14 +243,14 @@ impl Oracle {
             is_felt: stands_n > ZERO_N || self.last.force.norm() > ZERO_N,
         });
         loss.since_us = since_us;
-        let for_us = look.running_us - since_us;
+        let for_us = observed.running_us - since_us;
         if stands_n <= ZERO_N {
             if std::mem::take(&mut loss.is_felt) {
                 self.to_zero_ms.push(for_us as f64 * 1e-3);
             }
         } else if for_us > ZERO_WITHIN_US {
             let detail = format!("{stands_n:.4} N after {:.1} ms", for_us as f64 * 1e-3);
-            self.accuse(Law::ZeroInTime, look.at_us, detail);
+            self.report(Law::ZeroInTime, observed.at_us, detail);
         }
     }
 }

@@ -5,9 +5,10 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::Trial;
+use super::SeedResult;
 use super::fault::Class;
 use super::oracle::Broken;
+use crate::bench::quantile_of_sorted;
 
 /// Maximum number of listed failures.
 const LISTED_MAX: usize = 12;
@@ -83,15 +84,15 @@ pub struct Outcome {
 
 impl Outcome {
     /// Adds a run.
-    pub fn take(&mut self, trial: &Trial) {
+    pub fn take(&mut self, result: &SeedResult) {
         self.runs += 1;
-        let (run, class) = (&trial.run, trial.plan.class);
+        let (run, class) = (&result.faulty, result.plan.class);
         self.stop_max_ms = self.stop_max_ms.max(run.stop_ms);
         let row = self.classes.entry(class).or_insert_with(|| ClassOutcome {
             back_min: 1.0,
             ..ClassOutcome::default()
         });
-        let back = run.back_share(&trial.without).unwrap_or(1.0);
+        let back = run.back_share(&result.fault_free).unwrap_or(1.0);
         row.back_min = row.back_min.min(back);
         row.runs += 1;
         row.step_share_max = row.step_share_max.max(run.max_delta_n / run.step_n);
@@ -116,7 +117,7 @@ impl Outcome {
             row.failed += 1;
             if self.failures.len() < LISTED_MAX {
                 self.failures.push(Failure {
-                    seed: trial.plan.seed,
+                    seed: result.plan.seed,
                     class,
                     broken: run.broken.clone(),
                 });
@@ -135,10 +136,9 @@ impl Outcome {
         for row in self.classes.values_mut() {
             row.to_zero_ms.sort_by(f64::total_cmp);
             let times = &row.to_zero_ms;
-            let at = |q: f64| ((times.len() as f64 * q).ceil() as usize).max(1) - 1;
             row.losses = times.len() as u64;
             row.to_zero_max_ms = times.last().copied().unwrap_or(0.0);
-            row.to_zero_p99_ms = times.get(at(0.99)).copied().unwrap_or(0.0);
+            row.to_zero_p99_ms = quantile_of_sorted(times, 0.99).unwrap_or(0.0);
         }
     }
 }

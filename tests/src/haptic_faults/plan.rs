@@ -8,7 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::fault::{Class, Fault};
-use super::rig::{Driver, SelfCut};
+use super::faulty_device::{DeviceWatchdog, Driver};
 use super::tissue::Tissue;
 
 /// Tissue stiffnesses, N/m: fat, muscle, cartilage, bone.
@@ -146,11 +146,11 @@ fn driver(rng: &mut Pcg64) -> Driver {
         leaps_after_pause: rng.random_bool(0.3),
         watchdog: [
             None,
-            Some(SelfCut {
+            Some(DeviceWatchdog {
                 after_us,
                 turns_off: false,
             }),
-            Some(SelfCut {
+            Some(DeviceWatchdog {
                 after_us,
                 turns_off: true,
             }),

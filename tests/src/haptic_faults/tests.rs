@@ -3,12 +3,12 @@
 use palpate_haptics::{ChainConfig, WatchdogConfig};
 use palpate_protocol::Span;
 
-use super::course::{Run, Setup, comes_back, run};
-use super::fault::{Class, What};
+use super::fault::{Class, FaultKind};
+use super::faulty_device::Jerk;
 use super::oracle::Law;
 use super::plan::Plan;
-use super::rig::Jerk;
-use super::{Trial, all, desktop};
+use super::run::{Run, Setup, check_return, simulate};
+use super::{SeedResult, all, desktop};
 
 /// Seeds of the default test: every class several times.
 const SEEDS: u64 = 44;
@@ -22,7 +22,7 @@ fn broken_under(setup: &Setup, class: Class) -> Vec<Law> {
     let classes = Class::ALL.len() as u64;
     let first = (0..classes).find(|s| Class::of_seed(*s) == class).unwrap();
     (0..4)
-        .flat_map(|i| laws(&Trial::of(first + i * classes, setup).unwrap().run))
+        .flat_map(|i| laws(&SeedResult::of(first + i * classes, setup).unwrap().faulty))
         .collect()
 }
 
@@ -42,7 +42,7 @@ fn equal_seeds_give_equal_runs() {
             keep: true,
             ..Setup::default()
         };
-        Trial::of(10, &setup).unwrap().run
+        SeedResult::of(10, &setup).unwrap().faulty
     });
     assert_eq!(a.points, b.points);
 }
@@ -94,14 +94,14 @@ fn oracle_detects_late_watchdog() {
 #[test]
 fn oracle_detects_force_that_does_not_return() {
     let mut plan = Plan::of(1, &desktop().unwrap()).unwrap();
-    assert_eq!(plan.faults[0].what, What::LinkLost);
-    let without = run(&plan.without_faults(), &Setup::default());
-    let mut cured = run(&plan, &Setup::default());
-    comes_back(&plan, &mut cured, &without);
+    assert_eq!(plan.faults[0].what, FaultKind::LinkLost);
+    let without = simulate(&plan.without_faults(), &Setup::default());
+    let mut cured = simulate(&plan, &Setup::default());
+    check_return(&plan, &mut cured, &without);
     assert_eq!(laws(&cured), []);
     // Equal length and check time, but the link stays lost.
     plan.faults[0].until_us = i64::MAX;
-    let mut lost = run(&plan, &Setup::default());
-    comes_back(&plan, &mut lost, &without);
+    let mut lost = simulate(&plan, &Setup::default());
+    check_return(&plan, &mut lost, &without);
     assert_eq!(laws(&lost), [Law::ComesBack]);
 }

@@ -64,7 +64,7 @@ impl Tissue {
 }
 
 /// `model` with a defect.
-pub fn spoilt(model: &ContactModel, how: BadModel) -> ContactModel {
+pub fn damaged(model: &ContactModel, how: BadModel) -> ContactModel {
     let mut bad = *model;
     let touch = &mut bad.touches[0];
     let normal = touch.normal;

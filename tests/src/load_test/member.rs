@@ -6,7 +6,7 @@ use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{ClientTime, Grant, LocalSample, Pose, Role};
 use palpate_tissue::Vec3;
 
-use crate::hand::{Hand, Random, Temper};
+use crate::hand::{Hand, HandParameters, Random};
 use crate::simulated_session::SiteClock;
 use crate::simulated_session::endpoint::Endpoint;
 use crate::simulated_session::host::{GRANT, Host};
@@ -42,18 +42,18 @@ pub(crate) struct Motion {
 impl Motion {
     /// A hand over a point of the surface.
     pub(crate) fn new(spot: SurfacePoint, touches: bool, seed: u64) -> Self {
-        let temper = if touches {
-            Temper {
+        let parameters = if touches {
+            HandParameters {
                 speed_rms_m_s: PALPATING_M_S,
-                ..Temper::default()
+                ..HandParameters::default()
             }
         } else {
-            Temper::default()
+            HandParameters::default()
         };
         Self {
             spot,
             touches,
-            hand: Random::new(temper, seed),
+            hand: Random::new(parameters, seed),
             phase: (seed % 97) as f64 / 97.0,
         }
     }

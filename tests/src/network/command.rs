@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use clap::Args;
 
 use super::{Jitter, Link, Profile};
-use crate::cli::say;
+use crate::cli::print_line;
 
 /// Text at the end of `palpate-lab profiles --help`: every key of a profile file.
 pub(crate) const HELP: &str = "\
@@ -44,12 +44,12 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
     if let Some(name) = &arguments.name {
         let profile = Profile::parse(name).map_err(|e| e.to_string())?;
-        say(profile.to_toml().trim_end())?;
+        print_line(profile.to_toml().trim_end())?;
         return Ok(ExitCode::SUCCESS);
     }
     for name in Profile::names() {
         let profile = Profile::named(name).map_err(|e| e.to_string())?;
-        say(&format!("{name:17} {}", sentence(&profile.up)))?;
+        print_line(&format!("{name:17} {}", sentence(&profile.up)))?;
     }
     Ok(ExitCode::SUCCESS)
 }

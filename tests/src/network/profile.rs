@@ -9,7 +9,7 @@ use super::checked;
 use super::link::{Bursts, Jitter, Link, Outage, Outages, Rate, Step, Steps};
 use super::path::Direction;
 use super::trace::{Trace, TraceError};
-use crate::name_suggestion::{did_you_mean, with_nearest};
+use crate::name_suggestion::{did_you_mean, with_suggestion};
 
 /// Maximum size of a profile file, bytes. Longer recordings belong into a trace file.
 const FILE_BYTES_MAX: u64 = 1_000_000;
@@ -249,7 +249,7 @@ impl Profile {
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, ProfileError> {
         let document: Document = toml::from_str(text).map_err(|why| ProfileError::Content {
             path: path.to_owned(),
-            why: with_nearest(why.to_string().trim_end()),
+            why: with_suggestion(why.to_string().trim_end()),
         })?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let both = document.both.unwrap_or_default();

@@ -13,7 +13,7 @@
 
 mod check;
 mod seat;
-mod table;
+mod two_hands;
 
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ use palpate_tissue::{Model, TopologyHash as TissueHash, Vec3, cut, to_rest};
 
 use crate::force_error::ForcePoint;
 use seat::Seat;
-use table::{Pace, Table};
+use two_hands::{Pace, TwoHands};
 
 /// Time of hands and chains before the scripts begin, µs: longer than any soft start.
 const LEAD_US: i64 = 2_000_000;
@@ -72,7 +72,7 @@ pub enum ReferenceError {
 #[derive(Debug, Clone)]
 pub struct Reference {
     /// Force and position per trainee, in script order, every millisecond of script.
-    pub courses: [Vec<ForcePoint>; 2],
+    pub forces: [Vec<ForcePoint>; 2],
     /// Times of the cuts, seconds of script.
     pub cuts_s: Vec<f64>,
     /// Strokes of the cuts, in the rest frame.
@@ -151,10 +151,10 @@ pub fn run_with(
         at_least: SOLVE_AT_LEAST,
         check_every: (end_s * 1e3 / effort.checks.max(1) as f64) as i64,
     };
-    let copies = vec![Replica::new(Arc::clone(model), true)];
-    let mut table = Table::new(seats, copies, pace, cuts);
-    table.go_on(end_us, &mut progress)?;
-    Ok(table.into_reference())
+    let replicas = vec![Replica::new(Arc::clone(model), true)];
+    let mut hands = TwoHands::new(seats, replicas, pace, cuts);
+    hands.run_until(end_us, &mut progress)?;
+    Ok(hands.into_reference())
 }
 
 /// Replays the recorded motion of both hands of a session without a network. Each hand has its own replica,
@@ -175,10 +175,10 @@ pub fn replay(
     let zero_us = recordings.iter().map(first).min().unwrap_or(0) + LEAD_US;
     let end_us = recordings.iter().map(last).max().unwrap_or(0) - zero_us + LEAD_US;
     let seat = |k: usize| Seat::of_recording(recordings[k], scripts[k], k as u16 + 1, zero_us);
-    let copies = (0..2).map(|_| Replica::new(Arc::clone(model), true));
-    let mut table = Table::new([seat(0)?, seat(1)?], copies.collect(), Pace::STEADY, &[]);
-    table.go_on(end_us, progress)?;
-    Ok(table.into_reference())
+    let replicas = (0..2).map(|_| Replica::new(Arc::clone(model), true));
+    let mut hands = TwoHands::new([seat(0)?, seat(1)?], replicas.collect(), Pace::STEADY, &[]);
+    hands.run_until(end_us, progress)?;
+    Ok(hands.into_reference())
 }
 
 /// Transforms the stroke to the rest frame, as the room does.
@@ -242,37 +242,25 @@ fn operation(
 mod tests {
     use std::sync::Arc;
 
-    use palpate_tissue::{Material, Topology, block};
-
     use super::run;
     use crate::force_error::{ForceError, norm};
     use crate::scripts::Scripts;
-    use crate::tool_location::ToolLocation;
+    use crate::test_model::soft_block;
 
     #[test]
     fn reference_presses_cuts_once_and_is_deterministic() {
-        let soft = Material {
-            name: "soft".into(),
-            young_pa: 1e4,
-            density_kg_m3: 1000.0,
-            friction_static: 0.4,
-            friction_dynamic: 0.3,
-            source: "test".into(),
-            ..Material::default()
-        };
-        let model = Arc::new(block([24, 24, 8], 0.005, &soft, 1));
-        let place = ToolLocation::find(&Topology::new(Arc::clone(&model))).unwrap();
-        let scripts = Scripts::for_place(&place, 4.0).unwrap();
+        let model = Arc::new(soft_block([24, 24, 8], 0.005));
+        let scripts = Scripts::for_model(&model, 4.0).unwrap();
         let once = || run(&model, [&scripts.holder, &scripts.cutter], &[], |_| true).unwrap();
         let (a, b) = (once(), once());
         assert_eq!(a.cuts_s.len(), 1);
         assert!((1.5..2.6).contains(&a.cuts_s[0]), "{:?}", a.cuts_s);
         assert_eq!(a.topology_hash, b.topology_hash);
-        assert_eq!(a.courses, b.courses);
-        for course in &a.courses {
-            let most = course.iter().map(|p| norm(p.force_n)).fold(0.0, f64::max);
-            assert!(most > 0.1, "nobody feels {most} N");
-            let error = ForceError::between(course, course).unwrap();
+        assert_eq!(a.forces, b.forces);
+        for forces in &a.forces {
+            let most = forces.iter().map(|p| norm(p.force_n)).fold(0.0, f64::max);
+            assert!(most > 0.1, "the largest force is {most} N");
+            let error = ForceError::between(forces, forces).unwrap();
             assert_eq!(error.rms_percent, 0.0);
         }
         assert_eq!(a.cut_apart_m, 0.0);

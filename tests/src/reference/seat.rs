@@ -28,7 +28,7 @@ pub(super) struct Seat {
     pub(super) contact: ContactModel,
     pub(super) tool: ToolAt,
     stroke: StrokeCollector,
-    pub(super) course: Vec<ForcePoint>,
+    pub(super) forces: Vec<ForcePoint>,
 }
 
 impl Seat {
@@ -101,7 +101,7 @@ impl Seat {
                 stale: false,
             },
             stroke: StrokeCollector::new(script.tool().length_m),
-            course: Vec::new(),
+            forces: Vec::new(),
         })
     }
 
@@ -120,7 +120,7 @@ impl Seat {
         // The hand clamps forces beyond its limit; the chain clamps below that.
         let _ = self.hand.write(now, tick.wrench);
         if us >= self.script_us {
-            self.course.push(ForcePoint {
+            self.forces.push(ForcePoint {
                 t_s: self.script_s(us),
                 force_n: tick.wrench.force.into(),
                 position_m: sample.pose.position.into(),

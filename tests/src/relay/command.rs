@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use clap::Args;
 
 use super::Relay;
-use crate::cli::say;
+use crate::cli::print_line;
 use crate::network::Profile;
 use crate::progress::Interrupt;
 
@@ -58,9 +58,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
     let relay = Relay::start(arguments.listen, arguments.to, profile, arguments.seed)
         .map_err(|e| format!("cannot listen on {}: {e}", arguments.listen))?;
     if arguments.json {
-        say(&serde_json::json!({ "listening": relay.local_addr() }).to_string())?;
+        print_line(&serde_json::json!({ "listening": relay.local_addr() }).to_string())?;
     } else {
-        say(&format!(
+        print_line(&format!(
             "network {} with seed {}: {} to {}; end with Ctrl-C",
             arguments.profile.name,
             arguments.seed,
@@ -82,9 +82,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
     }
     let s = relay.stats();
     if arguments.json {
-        say(&serde_json::to_string(&s).expect("figures are plain data"))?;
+        print_line(&serde_json::to_string(&s).expect("figures are plain data"))?;
     } else {
-        say(&format!(
+        print_line(&format!(
             "{} packets from {} client(s) and back: {} dropped ({:.2} %; {} of them in outages, {} at the \
              bottleneck), {} doubled, {} with flipped bits, {} overtook; delay {:.1} ms mean, {:.1} ms p99; \
              {} new addresses; {} found no room",
@@ -103,7 +103,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
             s.overflowed
         ))?;
         for (name, way) in [("up", &s.up), ("down", &s.down)] {
-            say(&format!("  {name:<5}{way}"))?;
+            print_line(&format!("  {name:<5}{way}"))?;
         }
     }
     Ok(ExitCode::SUCCESS)

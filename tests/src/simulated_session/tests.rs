@@ -58,7 +58,7 @@ fn simulate_with(
 fn equal_seeds_give_equal_sessions_and_topologies_agree_at_the_end() {
     let model = model();
     let place = ToolLocation::find(&Topology::new(Arc::clone(&model))).unwrap();
-    let scripts = Scripts::for_place(&place, 4.0).unwrap();
+    let scripts = Scripts::for_location(&place, 4.0).unwrap();
     let profile = Profile::named("transatlantic").unwrap();
     let a = simulate(&model, &scripts, &profile, 5);
     assert_eq!(a.troubles, Vec::<String>::new());
@@ -80,7 +80,7 @@ fn equal_seeds_give_equal_sessions_and_topologies_agree_at_the_end() {
     let d = Disagreement::between(&views);
     assert!(d.nodes.p95 < 0.05, "{:?}", d.nodes);
     let r = reference::run(&model, [&scripts.holder, &scripts.cutter], &[], |_| true).unwrap();
-    for (recording, course) in a.recordings.iter().zip(&r.courses) {
+    for (recording, course) in a.recordings.iter().zip(&r.forces) {
         let felt = over_script(&recording.haptic, recording.script_started_us.unwrap());
         // A cut may release the force up to one solve earlier or later than in the reference.
         let error = ForceError::between(&felt, course).unwrap();
@@ -93,7 +93,7 @@ fn equal_seeds_give_equal_sessions_and_topologies_agree_at_the_end() {
 
 fn scripts_of(model: &Arc<Model>, seconds: f64) -> Scripts {
     let place = ToolLocation::find(&Topology::new(Arc::clone(model))).unwrap();
-    Scripts::for_place(&place, seconds).unwrap()
+    Scripts::for_location(&place, seconds).unwrap()
 }
 
 fn delay_ms_at(recording: &Recording, second: f64) -> f64 {

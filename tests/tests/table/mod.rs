@@ -53,7 +53,7 @@ impl Table {
     /// Writes the scripts of the holder and the cutter.
     pub(crate) fn scripts(&self, seconds: f64) -> [PathBuf; 2] {
         let place = ToolLocation::find(&Topology::new(self.subject.model.clone())).unwrap();
-        let scripts = Scripts::for_place(&place, seconds).unwrap();
+        let scripts = Scripts::for_location(&place, seconds).unwrap();
         let files = [self.path("holder.toml"), self.path("cutter.toml")];
         std::fs::write(&files[0], scripts.holder.to_toml()).unwrap();
         std::fs::write(&files[1], scripts.cutter.to_toml()).unwrap();

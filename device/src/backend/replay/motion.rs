@@ -211,24 +211,34 @@ impl Motion {
         if !known.contains(&&names[..]) && names != short {
             return Err(MotionError::Header(first.chars().take(80).collect()));
         }
-        let mut moments = Vec::new();
+        let (mut moments, mut numbers) = (Vec::new(), Vec::new());
         for (k, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
             let wrong = |what: String| MotionError::Row { line: k + 1, what };
-            let row = line
-                .split(',')
-                .map(|cell| {
-                    let cell = cell.trim();
-                    cell.parse::<f64>()
-                        .map_err(|_| wrong(format!("\"{cell}\" is not a number")))
-                })
-                .collect::<Result<Vec<f64>, MotionError>>()?;
-            if row.len() != names.len() {
-                let (has, asked) = (row.len(), names.len());
+            let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+            if cells.len() != names.len() {
+                let (has, asked) = (cells.len(), names.len());
                 return Err(wrong(format!("{has} numbers in {asked} columns")));
             }
+            let mut row = Vec::with_capacity(cells.len());
+            for (name, cell) in names.iter().zip(cells) {
+                let number = cell.parse().ok().filter(|x: &f64| x.is_finite());
+                let short: String = cell.chars().take(40).collect();
+                row.push(number.ok_or_else(|| {
+                    wrong(format!(
+                        "{name} is \"{short}\", which is not a finite number"
+                    ))
+                })?);
+            }
             moments.push(moment(&names, &row).map_err(|what| wrong(what.to_owned()))?);
+            numbers.push(k + 1);
         }
-        Self::new(moments)
+        Self::new(moments).map_err(|e| match e {
+            MotionError::Moment { number, what } => MotionError::Row {
+                line: numbers[number - 1],
+                what: format!("the moment {what}"),
+            },
+            other => other,
+        })
     }
 
     /// The moments.

@@ -110,16 +110,16 @@ fn errors_of_a_table_contain_the_line() {
         ("x,y\n1,2", "line 1 should name the columns"),
         (
             "t_s,x_m,y_m,z_m\n0,0,0,0\n1,0,zero,0",
-            "line 3: \"zero\" is not a number",
+            "line 3: y_m is \"zero\", which is not a finite number",
         ),
         ("t_s,x_m,y_m,z_m\n0,0,0", "line 2: 3 numbers in 4 columns"),
         (
             "t_s,x_m,y_m,z_m\n0,0,0,0\n0,0,0,0",
-            "moment 2: is not later",
+            "line 3: the moment is not later",
         ),
         (
             "t_s,x_m,y_m,z_m\n0,0,0,0\n1,0,nan,0",
-            "moment 2: holds a number that is not finite",
+            "line 3: y_m is \"nan\", which is not a finite number",
         ),
         (
             "t_s,x_m,y_m,z_m\n0,0,0,0\n1,0,120,0",

@@ -13,22 +13,21 @@ use std::sync::Arc;
 
 use palpate_device::Script;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
-use palpate_tissue::{Material, Model, Topology, block};
+use palpate_tissue::Model;
 use rayon::prelude::*;
-use serde_json::{Value, json};
+use serde_json::json;
 
-use super::cells::of_file;
-use super::{Bench, Outcome, missed_by, panel};
+use super::table::Column;
+use super::{Bench, Outcome, Table, missed_by};
 use crate::bench::on_threads;
-use crate::chart::{BLACK, BLUE, Chart, GREEN, Line, ORANGE, PURPLE, SKY};
-use crate::disagreement::CoursePoint;
+use crate::chart::{BLACK, BLUE, Chart, GREEN, Line, ORANGE, PURPLE, Panel, SKY};
+use crate::disagreement::DisagreementPoint;
 use crate::force_error::ForcePoint;
 use crate::network::{Jitter, Link, Profile};
 use crate::reference;
 use crate::scripts::Scripts;
 use crate::simulated_session::SimulatedSession;
-use crate::tool_location::ToolLocation;
-use tally::{Sat, Tally};
+use tally::{SessionRecord, Tally};
 
 /// Default number of sessions per network. Each takes five seconds of CPU time, half of it for the
 /// reference.
@@ -74,43 +73,28 @@ const ASKED: usize = 3;
 /// Line colours of the networks.
 const COLOURS: [&str; 6] = [BLACK, SKY, GREEN, BLUE, PURPLE, ORANGE];
 
-pub(super) fn soft_block() -> Model {
-    let material = Material {
-        name: "soft".into(),
-        young_pa: 1e4,
-        density_kg_m3: 1000.0,
-        friction_static: 0.4,
-        friction_dynamic: 0.3,
-        source: "a block for experiments".into(),
-        ..Material::default()
-    };
-    block([18, 18, 6], 5e-3, &material, 1)
-}
+/// Cells of the default tissue.
+pub(super) const SMALL_BLOCK: [usize; 3] = [18, 18, 6];
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
-    let model = bench
-        .model
-        .clone()
-        .unwrap_or_else(|| Arc::new(soft_block()));
-    let place =
-        ToolLocation::find(&Topology::new(Arc::clone(&model))).map_err(|e| e.to_string())?;
-    let scripts = Scripts::for_place(&place, SECONDS).map_err(|e| e.to_string())?;
+    let model = bench.model_or_block(SMALL_BLOCK);
+    let scripts = Scripts::for_model(&model, SECONDS)?;
     // Both sides follow the scripts as rounded in the file.
     let files = [&scripts.holder, &scripts.cutter].map(Script::to_toml);
     let read = |text: &String| Script::from_toml(text).map_err(|e| e.to_string());
     let scripts = [&read(&files[0])?, &read(&files[1])?];
     (bench.progress)("reference", 0.0);
-    let truth = reference::run(&model, scripts, &[], |_| true).map_err(|e| e.to_string())?;
-    let (networks, asked) = match bench.profile.clone() {
+    let scripted = reference::run(&model, scripts, &[], |_| true).map_err(|e| e.to_string())?;
+    let (networks, asked) = match bench.inputs.profile.clone() {
         Some(profile) => (vec![profile], 0),
         None => (ROUND_TRIPS_MS.map(far).into(), ASKED),
     };
-    let seeds = bench.seeds.unwrap_or(SEEDS);
-    let (mut rows, mut lines, mut table) = (Vec::new(), Vec::new(), String::from(HEADER));
+    let seeds = bench.inputs.seeds.unwrap_or(SEEDS);
+    let (mut rows, mut lines) = (Vec::new(), Vec::new());
     for (k, profile) in networks.iter().enumerate() {
         let all = std::thread::available_parallelism().map_or(1, usize::from);
-        let base = bench.seed;
-        let one = |seed: u64| session(&model, &scripts, profile, base, seed, &truth.courses);
+        let base = bench.seed();
+        let one = |seed: u64| session(&model, &scripts, profile, base, seed, &scripted.forces);
         let mut tally = Tally::default();
         for first in (0..seeds).step_by(CHUNK as usize) {
             let share = (k as f64 + first as f64 / seeds as f64) / networks.len() as f64;
@@ -124,33 +108,36 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             tally = tally.join(some?);
         }
         let row = tally.row(profile);
-        table.push_str(&csv(&row, ""));
         let colour = COLOURS[k % COLOURS.len()];
-        lines.push(course(&profile.name, colour, &tally.course));
+        lines.push(disagreement(&profile.name, colour, &tally.disagreement));
         rows.push(row);
     }
-    let chart = Chart {
-        title: "Two trainees press and cut: disagreement of their views".to_owned(),
-        x_label: "time (s)".to_owned(),
-        panels: vec![panel(
-            "95th percentile of tools and nodes, seed 0 of each network",
-            "distance (mm)",
-            lines,
-        )],
-        marks: Vec::new(),
-    };
+    let panel_title = "95th percentile of tools and nodes, seed 0 of each network";
+    let panels = vec![Panel::new(panel_title, "distance (mm)", lines)];
+    let title = "Two trainees press and cut: disagreement of their views";
+    let chart = Chart::new(title, "time (s)", panels);
     let mut figures = rows[asked].clone();
     figures["experiment"] = json!("replicas");
     figures["nodes"] = json!(model.nodes.len());
     let mut missed = missed_by(&rows);
+    let mut table = Table::of_objects(&rows, COLUMNS);
     figures["networks"] = json!(rows);
-    if let Some(n) = bench.real {
-        let mut tally =
-            real::sessions(bench, &model, &files, &networks[asked], n, |sat, number| {
-                compared(&model, &scripts, sat, &truth.courses, number)
-            })?;
+    if let Some(n) = bench.inputs.real {
+        let mut tally = real::sessions(
+            bench,
+            &model,
+            &files,
+            &networks[asked],
+            n,
+            |session, number| compared(&model, &scripts, session, &scripted.forces, number),
+        )?;
         let row = tally.row(&networks[asked]);
-        table.push_str(&csv(&row, " (processes, QUIC)"));
+        let mut in_processes = row.clone();
+        let network = format!("{} (processes, QUIC)", networks[asked].name);
+        in_processes["profile"] = json!(network);
+        table
+            .rows
+            .extend(Table::of_objects(&[in_processes], COLUMNS).rows);
         let in_real_time = missed_by([&row]).into_iter();
         missed.extend(in_real_time.map(|what| format!("real time: {what}")));
         figures["real"] = row;
@@ -207,7 +194,7 @@ fn session(
 fn compared(
     model: &Arc<Model>,
     scripts: &[&Script; 2],
-    session: Sat,
+    session: SessionRecord,
     scripted: &[Vec<ForcePoint>; 2],
     number: u64,
 ) -> Result<Tally, String> {
@@ -219,47 +206,29 @@ fn compared(
     let same_hands = same_hands.map_err(|e| e.to_string())?;
     Ok(Tally::of(
         session,
-        Some([&same_hands.courses, scripted]),
+        Some([&same_hands.forces, scripted]),
         number == 0,
     ))
 }
 
-const HEADER: &str = "network,sessions,shape_p50_mm,shape_p95_mm,shape_max_mm,force_rms_percent,force_p95_percent,hashes_equal,up_kbit_s,down_kbit_s,ok\n";
+const COLUMNS: &[Column] = &[
+    ("network", "profile", 1.0),
+    ("sessions", "seeds", 1.0),
+    ("shape_p50_mm", "shape_disagreement_mm.p50", 1.0),
+    ("shape_p95_mm", "shape_disagreement_mm.p95", 1.0),
+    ("shape_max_mm", "shape_disagreement_mm.max", 1.0),
+    ("force_rms_percent", "force_error_rms", 100.0),
+    ("force_p95_percent", "force_error_p95", 100.0),
+    ("hashes_equal", "hashes_equal", 1.0),
+    ("up_kbit_s", "bytes_per_s.up", 8e-3),
+    ("down_kbit_s", "bytes_per_s.down", 8e-3),
+    ("ok", "ok", 1.0),
+];
 
-/// A line of the table; `how` is appended to the network's name.
-fn csv(row: &Value, how: &str) -> String {
-    let shape = &row["shape_disagreement_mm"];
-    let network = json!(row["profile"].as_str().unwrap_or_default().to_owned() + how);
-    let cells = [
-        &network,
-        &row["seeds"],
-        &shape["p50"],
-        &shape["p95"],
-        &shape["max"],
-        &times(&row["force_error_rms"], 100.0),
-        &times(&row["force_error_p95"], 100.0),
-        &row["hashes_equal"],
-        &times(&row["bytes_per_s"]["up"], 8e-3),
-        &times(&row["bytes_per_s"]["down"], 8e-3),
-        &row["ok"],
-    ];
-    cells.map(of_file).join(",") + "\n"
-}
-
-/// A figure in another unit; null stays null.
-fn times(figure: &Value, factor: f64) -> Value {
-    json!(figure.as_f64().map(|x| x * factor))
-}
-
-fn course(name: &str, colour: &'static str, points: &[CoursePoint]) -> Line {
+fn disagreement(name: &str, colour: &'static str, points: &[DisagreementPoint]) -> Line {
     let began = points.first().map_or(0, |p| p.t_us);
-    Line {
-        name: name.to_owned(),
-        colour,
-        dashed: false,
-        points: points
-            .iter()
-            .map(|p| ((p.t_us - began) as f64 * 1e-6, p.p95_mm))
-            .collect(),
-    }
+    let points = points
+        .iter()
+        .map(|p| ((p.t_us - began) as f64 * 1e-6, p.p95_mm));
+    Line::new(name, colour, points)
 }

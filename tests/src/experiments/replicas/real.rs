@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use palpate_tissue::Model;
 
-use super::tally::{Sat, Tally};
+use super::tally::{SessionRecord, Tally};
 use crate::experiments::Bench;
 use crate::network::Profile;
-use crate::session::{Hosting, Left, Participant, Session, SessionError};
+use crate::session::{Hosting, Participant, ParticipantResult, Session, SessionError};
 use crate::test_model::TestModel;
 
 /// Time beyond the scripts' length: their start after both clients have joined, and packets in flight at
@@ -24,11 +24,11 @@ pub(super) fn sessions(
     scripts: &[String; 2],
     profile: &Profile,
     n: u64,
-    compared: impl Fn(Sat, u64) -> Result<Tally, String>,
+    compared: impl Fn(SessionRecord, u64) -> Result<Tally, String>,
 ) -> Result<Tally, String> {
     let executable = std::env::current_exe()
         .map_err(|e| format!("cannot find this program's executable: {e}"))?;
-    let subject = TestModel::of(Model::clone(model), bench.dir).map_err(|e| e.to_string())?;
+    let built = TestModel::of(Model::clone(model), bench.dir).map_err(|e| e.to_string())?;
     let mut files = Vec::new();
     for (name, text) in NAMES.into_iter().zip(scripts) {
         let file = bench.dir.join(format!("{name}.toml"));
@@ -40,14 +40,14 @@ pub(super) fn sessions(
         (bench.progress)("real-time sessions over QUIC", k as f64 / n as f64);
         let hosting = Hosting {
             executable: &executable,
-            model: &subject.file,
+            model: &built.file,
             profile: profile.clone(),
-            seed: bench.seed.wrapping_mul(1_000_003).wrapping_add(k),
+            seed: bench.seed().wrapping_mul(1_000_003).wrapping_add(k),
             compensation: "adaptive",
             start_when: 2,
         };
-        let sat = session(&hosting, &files, bench).map_err(|e| e.to_string())?;
-        tally = tally.join(compared(sat, k)?);
+        let record = session(&hosting, &files, bench).map_err(|e| e.to_string())?;
+        tally = tally.join(compared(record, k)?);
     }
     Ok(tally)
 }
@@ -58,27 +58,28 @@ fn session(
     hosting: &Hosting<'_>,
     scripts: &[PathBuf],
     bench: &Bench<'_>,
-) -> Result<Sat, SessionError> {
+) -> Result<SessionRecord, SessionError> {
     let session = Session::start(hosting)?;
-    let mut people = Vec::new();
+    let mut participants = Vec::new();
     for (name, script) in NAMES.into_iter().zip(scripts) {
-        people.push(session.join(name, "trainee", Some(script), bench.dir)?);
+        participants.push(session.join(name, "trainee", Some(script), bench.dir)?);
     }
-    for participant in &mut people {
+    for participant in &mut participants {
         participant.wait_until_in(&|| false)?;
     }
     sleep(AROUND + Duration::from_secs_f64(super::SECONDS));
-    for participant in &people {
+    for participant in &participants {
         participant.program.ask_to_end();
     }
-    let left: Result<Vec<Left>, _> = people.into_iter().map(Participant::leave).collect();
-    let left = left?;
+    let results: Result<Vec<ParticipantResult>, _> =
+        participants.into_iter().map(Participant::leave).collect();
+    let results = results?;
     let (host, _) = session.end()?;
-    let hashes_equal = left
+    let hashes_equal = results
         .iter()
-        .all(|l| l.summary.topology_hash == host.topology_hash);
-    let mut recordings = left.into_iter().map(|l| l.recording);
-    Ok(Sat {
+        .all(|r| r.summary.topology_hash == host.topology_hash);
+    let mut recordings = results.into_iter().map(|r| r.recording);
+    Ok(SessionRecord {
         recordings: std::array::from_fn(|_| recordings.next().unwrap_or_default()),
         hashes_equal,
         bytes_per_s: None,

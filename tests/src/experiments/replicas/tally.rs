@@ -1,16 +1,18 @@
 //! Statistics over many sessions: distances of shapes and errors of forces.
 
+use hdrhistogram::Histogram;
 use palpate_client::Recording;
 use serde_json::{Value, json};
 
-use crate::disagreement::{CoursePoint, Disagreement, each_node};
+use crate::bench::quantile_of_sorted;
+use crate::disagreement::{Disagreement, DisagreementPoint, each_node};
 use crate::force_error::{ForcePoint, difference, over_script};
 use crate::network::Profile;
 use crate::simulated_session::{BytesPerSecond, SessionResult};
 
-/// Width of a histogram bucket, mm, and number of buckets: up to 20 mm.
-const BUCKET_MM: f64 = 5e-4;
-const BUCKETS: usize = 40_000;
+/// Resolution of the distances, mm, and their number: up to 20 mm.
+const STEP_MM: f64 = 5e-4;
+const STEPS: u64 = 40_000;
 
 /// Limit of the shapes' 95th percentile distance, mm.
 const SHAPE_P95_MM: f64 = 0.1;
@@ -20,44 +22,34 @@ const FORCE_RMS: f64 = 0.05;
 /// Histogram of distances.
 #[derive(Debug, Clone)]
 struct Distances {
-    counts: Vec<u64>,
+    steps: Histogram<u64>,
     max: f64,
 }
 
 impl Default for Distances {
     fn default() -> Self {
-        Self {
-            counts: vec![0; BUCKETS],
-            max: 0.0,
-        }
+        // Five digits resolve every step.
+        let steps = Histogram::new_with_max(STEPS, 5).expect("the bounds are valid");
+        Self { steps, max: 0.0 }
     }
 }
 
 impl Distances {
     fn add(&mut self, mm: f64) {
-        let bucket = ((mm / BUCKET_MM) as usize).min(BUCKETS - 1);
-        self.counts[bucket] += 1;
+        self.steps
+            .saturating_record(((mm / STEP_MM) as u64).min(STEPS - 1));
         self.max = self.max.max(mm);
     }
 
     fn join(mut self, other: &Self) -> Self {
-        for (a, b) in self.counts.iter_mut().zip(&other.counts) {
-            *a += b;
-        }
+        self.steps += &other.steps;
         self.max = self.max.max(other.max);
         self
     }
 
-    /// Upper edge of the bucket that reaches the share `q`.
+    /// Upper edge of the step that reaches the share `q`.
     fn quantile(&self, q: f64) -> f64 {
-        let all: u64 = self.counts.iter().sum();
-        let rank = (q * all as f64).ceil().max(1.0) as u64;
-        let mut seen = 0;
-        let bucket = self.counts.iter().position(|c| {
-            seen += c;
-            seen >= rank
-        });
-        bucket.map_or(0.0, |b| ((b + 1) as f64 * BUCKET_MM).min(self.max))
+        ((self.steps.value_at_quantile(q) + 1) as f64 * STEP_MM).min(self.max)
     }
 }
 
@@ -72,11 +64,11 @@ struct ForceErrors {
 }
 
 impl ForceErrors {
-    fn add(&mut self, recording: &Recording, course: &[ForcePoint]) {
+    fn add(&mut self, recording: &Recording, reference: &[ForcePoint]) {
         let Some(began) = recording.script_started_us else {
             return;
         };
-        for (off, size) in difference(&over_script(&recording.haptic, began), course) {
+        for (off, size) in difference(&over_script(&recording.haptic, began), reference) {
             self.off += off * off;
             self.size += size * size;
             self.errors.push(off as f32);
@@ -98,17 +90,14 @@ impl ForceErrors {
 
     /// The 95th percentile of the error during contact, relative to the rms force.
     fn p95(&mut self) -> f64 {
-        if self.errors.is_empty() {
-            return f64::NAN;
-        }
-        let at = (self.errors.len() - 1) * 95 / 100;
-        let p95 = *self.errors.select_nth_unstable_by(at, f32::total_cmp).1;
-        f64::from(p95) / (self.size / self.errors.len() as f64).sqrt()
+        self.errors.sort_unstable_by(f32::total_cmp);
+        let p95 = quantile_of_sorted(&self.errors, 0.95).map_or(f64::NAN, f64::from);
+        p95 / (self.size / self.errors.len() as f64).sqrt()
     }
 }
 
 /// A completed session of two trainees.
-pub(super) struct Sat {
+pub(super) struct SessionRecord {
     pub(super) recordings: [Recording; 2],
     pub(super) hashes_equal: bool,
     /// `None` if not measured.
@@ -116,7 +105,7 @@ pub(super) struct Sat {
     pub(super) troubles: Vec<String>,
 }
 
-impl TryFrom<SessionResult> for Sat {
+impl TryFrom<SessionResult> for SessionRecord {
     type Error = String;
 
     fn try_from(result: SessionResult) -> Result<Self, String> {
@@ -145,15 +134,15 @@ pub(super) struct Tally {
     bytes: Option<BytesPerSecond>,
     troubles: Vec<String>,
     /// Disagreement over time of the first seed.
-    pub(super) course: Vec<CoursePoint>,
+    pub(super) disagreement: Vec<DisagreementPoint>,
 }
 
 impl Tally {
-    /// The statistics of one session. `tables` are two references without a network: the replay of the same
+    /// The statistics of one session. `references` are two references without a network: the replay of the same
     /// hand motions, and the run of the scripts. Without them forces are not compared.
     pub(super) fn of(
-        session: Sat,
-        tables: Option<[&[Vec<ForcePoint>; 2]; 2]>,
+        session: SessionRecord,
+        references: Option<[&[Vec<ForcePoint>; 2]; 2]>,
         is_first: bool,
     ) -> Self {
         let mut tally = Self {
@@ -166,9 +155,9 @@ impl Tally {
         let [a, b] = &session.recordings;
         each_node(a, b, |mm| tally.apart.add(f64::from(mm)));
         if is_first {
-            tally.course = Disagreement::between(&[a, b]).course;
+            tally.disagreement = Disagreement::between(&[a, b]).over_time;
         }
-        let Some([same_hands, scripted]) = tables else {
+        let Some([same_hands, scripted]) = references else {
             return tally;
         };
         for (k, recording) in session.recordings.iter().enumerate() {
@@ -193,10 +182,10 @@ impl Tally {
                 }),
                 (one, other) => one.or(other),
             },
-            course: if self.course.is_empty() {
-                other.course
+            disagreement: if self.disagreement.is_empty() {
+                other.disagreement
             } else {
-                self.course
+                self.disagreement
             },
             ..self
         }
@@ -227,29 +216,29 @@ impl Tally {
     /// Descriptions of the missed limits.
     fn missed(&self, profile: &Profile, shape_p95_mm: f64, force_rms: f64) -> Vec<String> {
         let mut missed = Vec::new();
-        let mut say = |what: String| missed.push(format!("{}: {what}", profile.name));
+        let mut miss = |what: String| missed.push(format!("{}: {what}", profile.name));
         if shape_p95_mm > SHAPE_P95_MM {
-            say(format!(
+            miss(format!(
                 "shapes differ by {shape_p95_mm:.3} mm (p95), limit {SHAPE_P95_MM}"
             ));
         }
         let (percent, most) = (force_rms * 100.0, FORCE_RMS * 100.0);
         if force_rms.is_nan() {
-            say("no force was available for comparison".to_owned());
+            miss("no force was available for comparison".to_owned());
         } else if force_rms > FORCE_RMS {
-            say(format!(
+            miss(format!(
                 "forces differ by {percent:.1} % (rms), limit {most:.0} %"
             ));
         }
         if self.equal < self.sessions {
             let (others, all) = (self.sessions - self.equal, self.sessions);
-            say(format!(
+            miss(format!(
                 "topologies differ at the end of {others} of {all} sessions"
             ));
         }
         if let [first, ..] = &self.troubles[..] {
             let n = self.troubles.len();
-            say(format!("{n} errors; the first: {first}"));
+            miss(format!("{n} errors; the first: {first}"));
         }
         missed
     }

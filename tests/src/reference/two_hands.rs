@@ -48,10 +48,10 @@ impl Pace {
 }
 
 /// Both hands and their tissue.
-pub(super) struct Table {
+pub(super) struct TwoHands {
     pub(super) seats: [Seat; 2],
     /// One replica for both hands, or one each.
-    copies: Vec<Replica>,
+    replicas: Vec<Replica>,
     pace: Pace,
     /// Tool poses at the last solve.
     solved: [ToolAt; 2],
@@ -65,17 +65,17 @@ pub(super) struct Table {
     cuts_s: Vec<f64>,
 }
 
-impl Table {
+impl TwoHands {
     pub(super) fn new(
         seats: [Seat; 2],
-        copies: Vec<Replica>,
+        replicas: Vec<Replica>,
         pace: Pace,
         cuts: &[CutStroke],
     ) -> Self {
         Self {
             solved: [seats[0].tool, seats[1].tool],
             seats,
-            copies,
+            replicas,
             pace,
             solves: 0,
             checked: 0,
@@ -95,15 +95,15 @@ impl Table {
                 residual_max: self.checks.residual_max,
                 error_percent: self.checks.changed_percent(),
             },
-            topology_hash: self.copies[0].topology().hash(),
+            topology_hash: self.replicas[0].topology().hash(),
             cuts_s: self.cuts_s,
             strokes: self.strokes,
             cut_apart_m: self.cut_apart_m,
-            courses: self.seats.map(|s| s.course),
+            forces: self.seats.map(|s| s.forces),
         }
     }
 
-    pub(super) fn go_on(
+    pub(super) fn run_until(
         &mut self,
         end_us: i64,
         mut progress: impl FnMut(f64) -> bool,
@@ -158,18 +158,18 @@ impl Table {
         let [a, b] = &mut self.seats;
         self.solved = [a.tool, b.tool];
         self.solves += 1;
-        if let [one] = &mut self.copies[..] {
+        if let [one] = &mut self.replicas[..] {
             let budget = Budget {
                 near: true,
                 ..Budget::new(ITERATIONS, TOLERANCE)
             };
-            let [first, second] = feel(one, now, &self.solved, budget);
+            let [first, second] = solve_both(one, now, &self.solved, budget);
             (a.contact, b.contact) = (first, second);
             let touches = first.in_contact() || second.in_contact();
             if touches && us / TICK_US - self.checked >= self.pace.check_every {
                 self.checked = us / TICK_US;
                 let budget = Budget::new(check::ITERATIONS, check::TOLERANCE);
-                let converged = feel(one, now, &self.solved, budget);
+                let converged = solve_both(one, now, &self.solved, budget);
                 let residual = one.haptic_residual().unwrap_or(f64::INFINITY);
                 self.checks.note(residual, &[first, second], &converged);
                 [a.contact, b.contact] = converged;
@@ -177,17 +177,17 @@ impl Table {
             return;
         }
         let others = [b.tool, a.tool];
-        for ((copy, seat), other) in self.copies.iter_mut().zip(&mut self.seats).zip(others) {
+        for ((replica, seat), other) in self.replicas.iter_mut().zip(&mut self.seats).zip(others) {
             // Iterations and residual end the solve, not time, so that it is reproducible.
             let mut never = || false;
             let budget = hand_budget(&mut never);
-            seat.contact = copy.haptic_step(now, Some(&seat.tool), &[other], budget);
+            seat.contact = replica.haptic_step(now, Some(&seat.tool), &[other], budget);
         }
     }
 
     /// Cuts every replica with the stroke of the hand `author`, or with its replacement.
     fn cut(&mut self, author: usize, request: &CutRequest) -> Result<(), ReferenceError> {
-        let own = &self.copies[author.min(self.copies.len() - 1)];
+        let own = &self.replicas[author.min(self.replicas.len() - 1)];
         let stroke = stroke_at_rest(own, request);
         let number = self.strokes.len();
         let given = self.given.get(number);
@@ -197,26 +197,26 @@ impl Table {
         let stroke = given.cloned().unwrap_or(stroke);
         self.strokes.push(stroke.clone());
         let operation = operation(own, stroke, number, author as u16 + 1)?;
-        for copy in &mut self.copies {
-            copy.apply(&operation)?;
+        for replica in &mut self.replicas {
+            replica.apply(&operation)?;
         }
         Ok(())
     }
 }
 
 /// Solves for both hands; returns their forces.
-fn feel(
-    copy: &mut Replica,
+fn solve_both(
+    replica: &mut Replica,
     now: ClientTime,
     [a, b]: &[ToolAt; 2],
     budget: Budget<'_>,
 ) -> [ContactModel; 2] {
     let near = budget.near;
-    let first = copy.haptic_step(now, Some(a), &[*b], budget);
+    let first = replica.haptic_step(now, Some(a), &[*b], budget);
     // The first call solves for both hands; the second one only reads the force of the other.
     let nothing = Budget {
         near,
         ..Budget::new(0, f64::INFINITY)
     };
-    [first, copy.haptic_step(now, Some(b), &[*a], nothing)]
+    [first, replica.haptic_step(now, Some(b), &[*a], nothing)]
 }

@@ -4,7 +4,7 @@
 
 use std::fmt::Write as _;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -13,14 +13,14 @@ use palpate_protocol::PROTOCOL_VERSION;
 use palpate_tissue::write_file;
 use serde_json::{Value, json};
 
-use super::benches::{self, Measured};
-use super::command::{DIR, Given, SEED, experiment, made, make_folder};
+use super::benches::BENCHMARKS;
+use super::command::{DIR, experiment, make_folder};
 use super::gallery::{self, Origin, Part};
+use super::inputs::{Input, Inputs, SEED};
 use super::recipe::Recipe;
+use super::registry::{ALL, Experiment};
 use super::schedule::Schedule;
-use super::{ALL, Experiment, Outcome};
-use crate::bench::on_threads;
-use crate::cli::{note, say};
+use crate::cli::{note, print_line};
 use crate::progress::Progress;
 
 /// Arguments of `all`.
@@ -31,7 +31,7 @@ pub struct AllArguments {
     out: PathBuf,
     /// Only these experiments, separated by commas
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = item)]
-    only: Vec<Item>,
+    only: Vec<Experiment>,
     /// Seed for experiments with random numbers [default: 1]
     #[arg(long)]
     seed: Option<u64>,
@@ -46,68 +46,43 @@ pub struct AllArguments {
     json: bool,
 }
 
-/// An experiment or benchmark on the page.
-#[derive(Debug, Clone, Copy)]
-enum Item {
-    Experiment(Experiment),
-    Bench(Measured),
-}
-
-fn item(name: &str) -> Result<Item, String> {
-    match benches::named(name) {
-        Some(bench) => Ok(Item::Bench(bench)),
-        None => experiment(name).map(Item::Experiment),
-    }
-}
-
-impl Item {
-    fn name(&self) -> &'static str {
-        match self {
-            Self::Experiment(e) => e.name,
-            Self::Bench(b) => b.name,
-        }
-    }
-
-    fn about(&self) -> &'static str {
-        match self {
-            Self::Experiment(e) => e.about,
-            Self::Bench(b) => b.about,
-        }
+/// The experiment or benchmark with this name.
+fn item(name: &str) -> Result<Experiment, String> {
+    let benchmarks = BENCHMARKS.iter().map(|(benchmark, _)| *benchmark);
+    match { benchmarks }.find(|b| b.name == name) {
+        Some(benchmark) => Ok(benchmark),
+        None => experiment(name),
     }
 }
 
 impl AllArguments {
-    fn items(&self) -> Vec<Item> {
+    fn items(&self) -> Vec<Experiment> {
         if !self.only.is_empty() {
             return self.only.clone();
         }
-        let experiments = ALL.iter().copied().map(Item::Experiment);
-        experiments
-            .chain(benches::ALL.iter().copied().map(Item::Bench))
-            .collect()
+        let benchmarks = BENCHMARKS.iter().map(|(benchmark, _)| *benchmark);
+        ALL.iter().copied().chain(benchmarks).collect()
     }
 
-    /// The common options that the experiment accepts.
+    /// The common options that an experiment accepts.
     fn recipe(&self, experiment: Experiment) -> Recipe {
-        let takes = experiment.takes;
+        let takes = |input| experiment.takes.contains(&input);
         Recipe {
-            experiment: experiment.name.to_owned(),
-            seed: self.seed.filter(|_| takes.seed),
-            profile: self.profile.clone().filter(|_| takes.profile),
-            motion: self.motion.clone().filter(|_| takes.motion),
+            seed: self.seed.filter(|_| takes(Input::Seed)),
+            profile: self.profile.clone().filter(|_| takes(Input::Profile)),
+            motion: self.motion.clone().filter(|_| takes(Input::Motion)),
             ..Recipe::default()
         }
     }
 
     /// The command that repeats an item.
-    fn command(&self, item: Item) -> String {
-        let experiment = match item {
-            Item::Bench(bench) => return bench.command.to_owned(),
-            Item::Experiment(experiment) => experiment,
-        };
-        let recipe = self.recipe(experiment);
-        let mut command = format!("palpate-lab run {}", experiment.name);
-        if experiment.takes.seed {
+    fn command(&self, item: Experiment) -> String {
+        if let Some((_, command)) = BENCHMARKS.iter().find(|(b, _)| b.name == item.name) {
+            return (*command).to_owned();
+        }
+        let recipe = self.recipe(item);
+        let mut command = format!("palpate-lab run {}", item.name);
+        if item.takes.contains(&Input::Seed) {
             // Writing to a string cannot fail.
             let _ = write!(command, " --seed {}", recipe.seed.unwrap_or(SEED));
         }
@@ -117,21 +92,6 @@ impl AllArguments {
             }
         }
         command
-    }
-
-    fn run(
-        &self,
-        item: Item,
-        dir: &Path,
-        told: &mut (dyn FnMut(&str, f64) + Send),
-    ) -> Result<Outcome, String> {
-        match item {
-            Item::Bench(bench) => on_threads(1, || (bench.run)(dir, told))?,
-            Item::Experiment(experiment) => {
-                let given = Given::load(&self.recipe(experiment), dir)?;
-                made(experiment, given, dir, told)
-            }
-        }
     }
 }
 
@@ -151,38 +111,41 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
         planned: items.len(),
     };
     let mut progress = Progress::new();
-    let mut schedule = Schedule::new(items.iter().map(Item::name));
+    let mut schedule = Schedule::new(items.iter().map(|item| item.name));
     let mut parts: Vec<Part> = Vec::new();
     for item in items {
         progress.stage(&format!(
             "{}: {}  {}",
-            item.name(),
-            item.about(),
+            item.name,
+            item.about,
             schedule.line(0.0)
         ));
         let began = Instant::now();
-        let mut told = |what: &str, share: f64| {
+        let mut report_progress = |what: &str, share: f64| {
             let line = schedule.line(began.elapsed().as_secs_f64());
             progress.tick(&format!("{line}; {what}: {:3.0} %", share * 100.0));
         };
-        let run = AssertUnwindSafe(|| arguments.run(item, kept.path(), &mut told));
+        let run = AssertUnwindSafe(|| {
+            let inputs = Inputs::load(&arguments.recipe(item), kept.path())?;
+            item.run(inputs, kept.path(), &mut report_progress)
+        });
         // The temporary state of an item is dropped after a panic.
         let result = catch_unwind(run).unwrap_or_else(|fault| Err(panicked(fault.as_ref())));
         let took_s = began.elapsed().as_secs_f64();
         schedule.done(took_s);
         let part = Part {
-            name: item.name().to_owned(),
-            about: item.about().to_owned(),
+            name: item.name.to_owned(),
+            about: item.about.to_owned(),
             command: arguments.command(item),
             took_s,
             result,
         };
         // Printed first, so a full disk cannot lose the figures.
         if arguments.json {
-            say(&line(&part).to_string())?;
+            print_line(&line(&part).to_string())?;
         }
         match &part.result {
-            Ok(outcome) => outcome.write_all(&arguments.out, &part.name)?,
+            Ok(outcome) => outcome.write(&arguments.out, &part.name)?,
             Err(why) => progress.stage(&format!("{} failed: {why}", part.name)),
         }
         parts.push(part);
@@ -205,7 +168,7 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
     let failed = parts.iter().filter(|p| p.result.is_err()).count();
     if !arguments.json {
         let done = parts.len() - failed;
-        say(&format!("{done} of {} completed", parts.len()))?;
+        print_line(&format!("{done} of {} completed", parts.len()))?;
     }
     note(&format!("wrote the page {}", page.display()));
     let sentences = [(failed, "failed"), (missed, "missed their limits")];

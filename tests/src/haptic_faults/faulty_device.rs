@@ -10,14 +10,14 @@ use palpate_device::{
     Rejection, Sample, Wrench, Written,
 };
 
-use super::fault::{BadPose, What};
+use super::fault::{BadPose, FaultKind};
 
 /// Error of a driver whose device is absent.
 const GONE: Rejection = Rejection::Driver { code: -1 };
 
 /// Watchdog of the device: it drops the force without writes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SelfCut {
+pub struct DeviceWatchdog {
     /// Timeout, µs.
     pub after_us: i64,
     /// Whether the motors stay off until they are enabled.
@@ -32,14 +32,14 @@ pub struct Driver {
     /// Whether the reported position jumps after a pause of more than a second.
     pub leaps_after_pause: bool,
     /// Watchdog without writes; `None`: the device renders the last wrench for ever.
-    pub watchdog: Option<SelfCut>,
+    pub watchdog: Option<DeviceWatchdog>,
 }
 
 /// Effect of a write.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Write {
     /// Commanded wrench.
-    pub asked: Wrench,
+    pub commanded: Wrench,
     /// Rendered wrench right before the write.
     pub before: Wrench,
     /// Rendered wrench right after the write.
@@ -73,37 +73,37 @@ pub struct Log {
 
 /// Interface between a run and its device.
 #[derive(Debug, Clone, Default)]
-pub struct Bench {
+pub struct DeviceState {
     /// Run time, µs.
     pub now_us: i64,
     /// Active faults.
-    pub faults: Vec<What>,
+    pub faults: Vec<FaultKind>,
     /// Recorded events.
     pub log: Log,
 }
 
 /// Handle of the run to its device.
 #[derive(Debug, Clone, Default)]
-pub struct Hold(Arc<Mutex<Bench>>);
+pub struct DeviceHandle(Arc<Mutex<DeviceState>>);
 
-impl Hold {
+impl DeviceHandle {
     /// Locks the shared state; each lock is short.
-    pub fn bench(&self) -> MutexGuard<'_, Bench> {
+    pub fn state(&self) -> MutexGuard<'_, DeviceState> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// The device.
-pub struct Rig {
+pub struct FaultyDevice {
     hand: SimHand,
     driver: Driver,
-    hold: Hold,
+    handle: DeviceHandle,
     /// For a driver without a ramp, whose hand is always enabled.
     on: bool,
     is_plugged: bool,
     last_write_us: i64,
     last_read_us: i64,
-    last_told: DeviceTime,
+    last_stamp: DeviceTime,
     reads: u32,
     writes: u32,
     /// Added to every write: a jerking device, for tests of the oracle.
@@ -119,44 +119,44 @@ pub struct Jerk {
     pub by_n: f64,
 }
 
-impl Rig {
-    /// A rig around a hand; the run time begins at `now_us`.
-    pub fn new(hand: SimHand, driver: Driver, jerk: Option<Jerk>) -> (Self, Hold) {
-        let hold = Hold::default();
-        let rig = Self {
+impl FaultyDevice {
+    /// A faulty device around a hand; the run time begins at `now_us`.
+    pub fn new(hand: SimHand, driver: Driver, jerk: Option<Jerk>) -> (Self, DeviceHandle) {
+        let handle = DeviceHandle::default();
+        let device = Self {
             hand,
             driver,
-            hold: hold.clone(),
+            handle: handle.clone(),
             on: false,
             is_plugged: true,
             last_write_us: 0,
             last_read_us: 0,
-            last_told: DeviceTime::from_micros(i64::MIN),
+            last_stamp: DeviceTime::from_micros(i64::MIN),
             reads: 0,
             writes: 0,
             jerk,
         };
-        (rig, hold)
+        (device, handle)
     }
 
     fn now(&self) -> DeviceTime {
-        DeviceTime::from_micros(self.hold.bench().now_us)
+        DeviceTime::from_micros(self.handle.state().now_us)
     }
 
-    fn heard(&mut self, told: DeviceTime) {
-        self.hold.bench().log.times_back += u64::from(told < self.last_told);
-        self.last_told = told;
+    fn check_stamp(&mut self, stamp: DeviceTime) {
+        self.handle.state().log.times_back += u64::from(stamp < self.last_stamp);
+        self.last_stamp = stamp;
     }
 
-    fn fault<T>(&self, find: impl Fn(&What) -> Option<T>) -> Option<T> {
-        self.hold.bench().faults.iter().find_map(find)
+    fn fault<T>(&self, find: impl Fn(&FaultKind) -> Option<T>) -> Option<T> {
+        self.handle.state().faults.iter().find_map(find)
     }
 
     /// Drops the force at `at` on the part of the device.
     fn drop_force(&mut self, at: DeviceTime, turns_off: bool) {
         let stood = self.hand.rendered().force.norm();
         let _ = self.hand.write(at, Wrench::ZERO);
-        self.hold.bench().log.cut_n += stood;
+        self.handle.state().log.cut_n += stood;
         if turns_off {
             self.on = false;
             if self.driver.ramps {
@@ -168,7 +168,7 @@ impl Rig {
 
     fn unplug_or_plug(&mut self, now: DeviceTime) {
         let gone = self.fault(|what| match what {
-            What::Unplugged { forgets } => Some(*forgets),
+            FaultKind::Unplugged { forgets } => Some(*forgets),
             _ => None,
         });
         if let Some(forgets) = gone
@@ -180,7 +180,7 @@ impl Rig {
     }
 
     /// Simulates the hand until `now`, including the watchdog.
-    fn live_until(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
+    fn simulate_until(&mut self, now: DeviceTime) -> Result<Sample, DeviceFault> {
         if let Some(watchdog) = self.driver.watchdog {
             let at = DeviceTime::from_micros(self.last_write_us + watchdog.after_us);
             if at < now && self.hand.rendered() != Wrench::ZERO {
@@ -200,7 +200,7 @@ impl Rig {
     }
 }
 
-fn spoilt(mut sample: Sample, how: BadPose) -> Sample {
+fn damaged(mut sample: Sample, how: BadPose) -> Sample {
     match how {
         BadPose::PositionNan => sample.pose.position.x = f64::NAN,
         BadPose::VelocityInfinite => sample.velocity.z = f64::INFINITY,
@@ -210,7 +210,7 @@ fn spoilt(mut sample: Sample, how: BadPose) -> Sample {
     sample
 }
 
-impl HapticDevice for Rig {
+impl HapticDevice for FaultyDevice {
     fn caps(&self) -> &DeviceCaps {
         self.hand.caps()
     }
@@ -250,64 +250,64 @@ impl HapticDevice for Rig {
         }
     }
 
-    fn read(&mut self, told: DeviceTime) -> Result<Sample, DeviceFault> {
-        self.heard(told);
+    fn read(&mut self, stamp: DeviceTime) -> Result<Sample, DeviceFault> {
+        self.check_stamp(stamp);
         let now = self.now();
-        let sample = self.live_until(now)?;
+        let sample = self.simulate_until(now)?;
         self.unplug_or_plug(now);
         if !self.is_plugged {
-            self.hold.bench().log.unread += 1;
+            self.handle.state().log.unread += 1;
             return Err(DeviceFault::Unplugged);
         }
         self.reads = self.reads.wrapping_add(1);
         let reads = self.reads;
         let bad = self.fault(|what| match what {
-            What::BadPoses { how, every } if reads.is_multiple_of(*every) => Some(*how),
+            FaultKind::BadPoses { how, every } if reads.is_multiple_of(*every) => Some(*how),
             _ => None,
         });
         let sample = Sample {
-            time: told,
+            time: stamp,
             ..sample
         };
         Ok(match bad {
             Some(how) => {
-                self.hold.bench().log.bad_poses += 1;
-                spoilt(sample, how)
+                self.handle.state().log.bad_poses += 1;
+                damaged(sample, how)
             }
             None => sample,
         })
     }
 
-    fn write(&mut self, told: DeviceTime, asked: Wrench) -> Written {
-        self.heard(told);
+    fn write(&mut self, stamp: DeviceTime, commanded: Wrench) -> Written {
+        self.check_stamp(stamp);
         let now = self.now();
         self.last_write_us = now.as_micros();
         self.writes = self.writes.wrapping_add(1);
         let writes = self.writes;
         let before = self.hand.rendered();
-        let state = self.force_state();
+        let force_state = self.force_state();
         let refuses = self.fault(|what| match what {
-            What::Refused { every } if writes.is_multiple_of(*every) => Some(()),
+            FaultKind::Refused { every } if writes.is_multiple_of(*every) => Some(()),
             _ => None,
         });
         let limit = self.fault(|what| match what {
-            What::Clamped { to_n } => Some(*to_n),
+            FaultKind::Clamped { to_n } => Some(*to_n),
             _ => None,
         });
         let jerk = self.jerk.filter(|j| j.write == writes);
         let done = if !self.is_plugged {
             Written::Rejected(GONE)
-        } else if state == ForceState::Off {
+        } else if force_state == ForceState::Off {
             Written::Rejected(Rejection::ForcesOff)
-        } else if !asked.is_finite() {
-            self.hold.bench().log.nan_written += 1;
+        } else if !commanded.is_finite() {
+            self.handle.state().log.nan_written += 1;
             Written::Rejected(Rejection::NotFinite)
         } else if refuses.is_some() {
             Written::Rejected(Rejection::Driver { code: 7 })
         } else {
-            let norm = asked.force.norm();
+            let norm = commanded.force.norm();
             let share = limit.filter(|n| norm > *n).map_or(1.0, |n| n / norm);
-            let mut given = asked.scaled(share);
+            let mut given = commanded.scaled(share);
             given.force.z += jerk.map_or(0.0, |j| j.by_n);
             match self.hand.write(now, given) {
                 Written::Applied if share < 1.0 => Written::Saturated { applied: given },
@@ -317,16 +317,16 @@ impl HapticDevice for Rig {
         if matches!(done, Written::Rejected(_)) {
             let _ = self.hand.write(now, Wrench::ZERO);
         }
-        let mut bench = self.hold.bench();
+        let mut shared = self.handle.state();
         let is_refused = matches!(done, Written::Rejected(why) if why != Rejection::ForcesOff);
-        bench.log.refused += u64::from(is_refused);
-        bench.log.clamped += u64::from(matches!(done, Written::Saturated { .. }));
-        bench.log.write = Some(Write {
-            asked,
+        shared.log.refused += u64::from(is_refused);
+        shared.log.clamped += u64::from(matches!(done, Written::Saturated { .. }));
+        shared.log.write = Some(Write {
+            commanded,
             before,
             after: self.hand.rendered(),
             obeyed: done == Written::Applied,
-            is_on: state == ForceState::On,
+            is_on: force_state == ForceState::On,
         });
         done
     }

@@ -12,11 +12,11 @@ use palpate_protocol::ClientTime;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::fault::What;
-use super::oracle::{Bounds, Broken, Law, Look, Oracle};
+use super::fault::FaultKind;
+use super::faulty_device::{DeviceHandle, FaultyDevice, Jerk, Log};
+use super::oracle::{Bounds, Broken, Law, Observation, Oracle};
 use super::plan::Plan;
-use super::rig::{Hold, Jerk, Log, Rig};
-use super::tissue::{SOLVE_EVERY_US, Tissue, spoilt};
+use super::tissue::{SOLVE_EVERY_US, Tissue, damaged};
 
 /// Machine uptime when a run begins, µs.
 const BOOT_US: i64 = 60_000_000;
@@ -53,7 +53,7 @@ pub struct Point {
     /// Run time, s.
     pub t_s: f64,
     /// Commanded force, N.
-    pub asked_n: f64,
+    pub commanded_n: f64,
     /// Rendered force, N.
     pub rendered_n: f64,
     /// Force change since the last tick, without that of the device itself, N.
@@ -101,11 +101,11 @@ struct Expected {
 }
 
 /// Runs a plan.
-pub fn run(plan: &Plan, setup: &Setup) -> Run {
-    Course::new(plan, setup).finish()
+pub fn simulate(plan: &Plan, setup: &Setup) -> Run {
+    Simulation::new(plan, setup).finish()
 }
 
-struct Course<'a> {
+struct Simulation<'a> {
     plan: &'a Plan,
     keep: bool,
     rng: Pcg64,
@@ -115,7 +115,7 @@ struct Course<'a> {
     stopped_us: i64,
     pace: Pace,
     hand: HandLoop,
-    hold: Hold,
+    handle: DeviceHandle,
     solver: Solver,
     oracle: Oracle,
     expected: Expected,
@@ -127,17 +127,17 @@ struct Course<'a> {
     points: Vec<Point>,
 }
 
-impl<'a> Course<'a> {
+impl<'a> Simulation<'a> {
     fn new(plan: &'a Plan, setup: &Setup) -> Self {
         let start = ScriptStart::at(DeviceTime::ZERO);
         let sim = SimHand::with_caps(plan.script.clone(), start, plan.caps.clone());
         let chain = Chain::new(setup.chain, sim.caps());
         let mut bounds = Bounds::of(&chain);
         bounds.step_n *= setup.step_share.unwrap_or(1.0);
-        let (rig, hold) = Rig::new(sim, plan.driver, setup.jerk);
+        let (device, handle) = FaultyDevice::new(sim, plan.driver, setup.jerk);
         let began = ClientTime::from_micros(BOOT_US);
         let period = setup.chain.period;
-        let mut hand = HandLoop::new(Box::new(rig), chain, period, began);
+        let mut hand = HandLoop::new(Box::new(device), chain, period, began);
         hand.begin();
         Self {
             plan,
@@ -148,7 +148,7 @@ impl<'a> Course<'a> {
             stopped_us: 0,
             pace: Pace::new(began, period),
             hand,
-            hold,
+            handle,
             solver: Solver::new(plan.tissue),
             oracle: Oracle::new(bounds),
             expected: Expected::default(),
@@ -171,14 +171,14 @@ impl<'a> Course<'a> {
         while !turned.is_over {
             turned = self.step(true);
         }
-        let log = self.hold.bench().log;
+        let log = self.handle.state().log;
         if turned.frame.wrench != palpate_device::Wrench::ZERO {
             let detail = format!(
-                "{:.3} N {} ms after a stop was asked for",
+                "{:.3} N {} ms after a stop was commanded for",
                 turned.frame.wrench.force.norm(),
                 (self.at_us - end_us) / 1000
             );
-            self.oracle.accuse(Law::Ends, self.at_us, detail);
+            self.oracle.report(Law::Ends, self.at_us, detail);
         }
         self.hand.close();
         self.count(&log);
@@ -199,14 +199,14 @@ impl<'a> Course<'a> {
     /// The machine's clock now.
     fn clock(&self) -> ClientTime {
         let jumps = self.plan.faults.iter().filter_map(|f| match f.what {
-            What::Clock { by_us } if f.from_us <= self.at_us => Some(by_us),
+            FaultKind::Clock { by_us } if f.from_us <= self.at_us => Some(by_us),
             _ => None,
         });
         ClientTime::from_micros(BOOT_US + self.at_us + jumps.sum::<i64>())
     }
 
     /// Active faults.
-    fn broken_now(&self) -> Vec<What> {
+    fn broken_now(&self) -> Vec<FaultKind> {
         let on = self.plan.faults.iter().filter(|f| f.is_on(self.at_us));
         on.map(|f| f.what).collect()
     }
@@ -217,20 +217,20 @@ impl<'a> Course<'a> {
         let late_us = self.lateness_us();
         self.pass(sleeps_us + late_us);
         let mut faults = self.broken_now();
-        let link_lost = faults.contains(&What::LinkLost);
+        let link_lost = faults.contains(&FaultKind::LinkLost);
         {
-            let mut bench = self.hold.bench();
-            bench.now_us = self.at_us;
-            bench.faults.clear();
-            bench.faults.append(&mut faults);
+            let mut shared = self.handle.state();
+            shared.now_us = self.at_us;
+            shared.faults.clear();
+            shared.faults.append(&mut faults);
         }
         let woke = self.clock();
-        let before = self.hold.bench().log;
+        let before = self.handle.state().log;
         let model = self.solver.newest;
         let turned = self.hand.turn(woke, Wishes { link_lost, stop }, &model);
-        let log = self.hold.bench().log;
+        let log = self.handle.state().log;
         self.note(&turned, woke, link_lost || stop, &before, &log);
-        self.look(&turned, &log);
+        self.check(&turned, &log);
         let works_us = self.rng.random_range(5..60);
         self.pass(works_us);
         self.pace.done(self.clock());
@@ -250,7 +250,7 @@ impl<'a> Course<'a> {
     fn pass(&mut self, us: i64) {
         let until = self.at_us + us;
         let stopped = self.plan.faults.iter().find_map(|f| {
-            (f.what == What::Stopped && f.from_us < until && self.at_us < f.until_us)
+            (f.what == FaultKind::Stopped && f.from_us < until && self.at_us < f.until_us)
                 .then_some((f.from_us, f.until_us))
         });
         if let Some((from_us, continued_us)) = stopped {
@@ -300,25 +300,25 @@ impl<'a> Course<'a> {
         self.blind_since_us = is_blind.then_some(since);
         let since = self.unlinked_since_us.unwrap_or(running_us);
         self.unlinked_since_us = unlinked.then_some(since);
-        self.solver.hears(&turned.frame.sample.pose.position);
+        self.solver.set_position(&turned.frame.sample.pose.position);
     }
 
-    fn look(&mut self, turned: &Turned, log: &Log) {
+    fn check(&mut self, turned: &Turned, log: &Log) {
         let running_us = self.at_us - self.stopped_us;
         let since_model = self.solver.good_since_us;
         let no_model = (running_us - since_model > MISSED_US).then_some(since_model);
         let lost = [no_model, self.blind_since_us, self.unlinked_since_us];
         let write = {
-            let mut bench = self.hold.bench();
-            bench.log.cut_n = 0.0;
-            bench.log.write.take()
+            let mut shared = self.handle.state();
+            shared.log.cut_n = 0.0;
+            shared.log.write.take()
         };
         let Some(write) = write else {
             let detail = "a tick without a write".to_owned();
-            self.oracle.accuse(Law::Ends, self.at_us, detail);
+            self.oracle.report(Law::Ends, self.at_us, detail);
             return;
         };
-        let changed_n = self.oracle.look(&Look {
+        let changed_n = self.oracle.check(&Observation {
             at_us: self.at_us,
             running_us,
             write,
@@ -333,7 +333,7 @@ impl<'a> Course<'a> {
             let position = turned.frame.sample.pose.position;
             let point = Point {
                 t_s: self.at_us as f64 * 1e-6,
-                asked_n: write.asked.force.norm(),
+                commanded_n: write.commanded.force.norm(),
                 rendered_n,
                 changed_n,
                 above_mm: self.plan.tissue.normal.dot(&position) * 1e3,
@@ -400,16 +400,16 @@ impl<'a> Course<'a> {
             }
         }
         for detail in missing {
-            self.oracle.accuse(Law::Counted, self.at_us, detail);
+            self.oracle.report(Law::Counted, self.at_us, detail);
         }
-        let told = [
+        let forbidden = [
             ("non-finite writes", log.nan_written, Law::FiniteWrites),
             ("decreasing time stamps", log.times_back, Law::TimeGoesOn),
         ];
-        for (what, times, law) in told {
+        for (what, times, law) in forbidden {
             if times > 0 {
                 self.oracle
-                    .accuse(law, self.at_us, format!("{what}: {times}"));
+                    .report(law, self.at_us, format!("{what}: {times}"));
             }
         }
     }
@@ -424,7 +424,7 @@ impl Run {
 }
 
 /// Checks that the force returns after a fault, compared with the fault-free run.
-pub fn comes_back(plan: &Plan, run: &mut Run, without: &Run) {
+pub fn check_return(plan: &Plan, run: &mut Run, without: &Run) {
     if run
         .back_share(without)
         .is_some_and(|share| share < BACK_SHARE)
@@ -483,7 +483,7 @@ impl Solver {
         (next < until).then_some(next)
     }
 
-    fn hears(&mut self, x: &nalgebra::Vector3<f64>) {
+    fn set_position(&mut self, x: &nalgebra::Vector3<f64>) {
         self.x = *x;
     }
 
@@ -495,8 +495,8 @@ impl Solver {
         }
     }
 
-    fn turn(&mut self, at_us: i64, clock: ClientTime, running_us: i64, what: &[What]) {
-        if what.contains(&What::SolverStall) {
+    fn turn(&mut self, at_us: i64, clock: ClientTime, running_us: i64, what: &[FaultKind]) {
+        if what.contains(&FaultKind::SolverStall) {
             // A stall ends with the fault; a delay of 1 ms is enough.
             self.was_stopped_until(at_us + 1_000);
             return;
@@ -513,12 +513,12 @@ impl Solver {
             self.turns += 1;
             let turns = self.turns;
             let bad = what.iter().find_map(|what| match what {
-                What::BadModels { how, every } if turns.is_multiple_of(*every) => Some(*how),
+                FaultKind::BadModels { how, every } if turns.is_multiple_of(*every) => Some(*how),
                 _ => None,
             });
             let model = self.tissue.model(clock, &self.x);
             self.solving = Some(Solving {
-                model: bad.map_or(model, |how| spoilt(&model, how)),
+                model: bad.map_or(model, |how| damaged(&model, how)),
                 done_us: at_us + self.tissue.delay_us,
                 began_running_us: running_us,
             });
