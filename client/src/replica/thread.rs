@@ -28,6 +28,9 @@ use crate::realtime::{Frame, compute_alone, device_time, monotonic_now, sleep_un
 use crate::recording::{Recording, VIEW_HZ, ViewRecord};
 use crate::{SolveTimes, StartAt, Summary};
 
+/// Period of a client without a hand: it only starts views, at most 60 per second.
+const VIEW_POLL_PERIOD: Span = Span::from_millis(8);
+
 /// Upper bound of the solve time histogram, µs.
 const SOLVE_MAX_US: u64 = 1_000_000;
 
@@ -160,6 +163,10 @@ impl ReplicaLoop {
     fn run(&mut self, stop: &AtomicBool, mut budget: CpuBudget) {
         let mut deadline = monotonic_now();
         let mut charged = worked();
+        let period = match self.inputs.hand {
+            Some(_) => HAPTIC_PERIOD,
+            None => VIEW_POLL_PERIOD,
+        };
         while !stop.load(Ordering::Acquire) {
             if self.ending.is_none() {
                 self.step();
@@ -169,7 +176,7 @@ impl ReplicaLoop {
             let rest = budget.charge(now.as_micros(), cpu - charged);
             charged = cpu;
             // Missed periods after a long solve are skipped.
-            deadline = (deadline + HAPTIC_PERIOD).max(now + rest);
+            deadline = (deadline + period).max(now + rest);
             sleep_until(deadline);
         }
     }
