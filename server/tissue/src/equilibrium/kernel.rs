@@ -69,9 +69,10 @@ impl WithSimd for Forces<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let local = gather(&self.brick.nodes, self.u);
-        let small = match self.expands {
-            true => small_strain_forces(simd, self.form, &local, self.scratch),
-            false => None,
+        let small = if self.expands {
+            small_strain_forces(simd, self.form, &local, self.scratch)
+        } else {
+            None
         };
         let mut f = match small {
             Some(f) => f,

@@ -412,14 +412,18 @@ impl Solver {
         }
         let elements = self.coarse.grids.iter().map(|p| p.set.items.len());
         let nodes = self.fine.nodes.items.len();
-        let work_limit = match self.uses(Mechanism::WorkLimit) {
-            true => self.work_limit.update(nodes, elements.sum()),
-            false => 1.0,
+        let work_limit = if self.uses(Mechanism::WorkLimit) {
+            self.work_limit.update(nodes, elements.sum())
+        } else {
+            1.0
         };
         let deep = usize::from(self.hierarchy.bottoms_out);
-        let limit = |mechanism, limit: f32| match self.uses(mechanism) {
-            true => work_limit * limit,
-            false => f32::INFINITY,
+        let limit = |mechanism, limit: f32| {
+            if self.uses(mechanism) {
+                work_limit * limit
+            } else {
+                f32::INFINITY
+            }
         };
         let pending = limit(Mechanism::ForceLimit, PENDING[1]);
         let strained = limit(Mechanism::StrainLimit, STRAINED[deep]);
