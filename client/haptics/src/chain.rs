@@ -35,7 +35,7 @@ pub struct ChainConfig {
     /// Damping of device and hand in the stiffness cap (b in 2 b / T), N·s/m. 0.5 is a light desktop device held
     /// loosely.
     pub damping_ns_per_m: f64,
-    /// Distance from the pivot at which a hand holds the handle and damps its rotation (ℓ of the [`Coupling`]), m,
+    /// Distance from the pivot at which a hand holds the handle and damps its rotation (ℓ of the virtual coupling), m,
     /// above zero. A pen grip rests at the fingertips and in the web of the thumb, some 100 mm apart (our
     /// estimate): 50 mm to each side of the middle.
     pub grip_m: f64,
@@ -48,7 +48,7 @@ pub struct ChainConfig {
     pub slew_n_per_s: f64,
     /// Slew rate of the torque, N·m/s: twice 600 N/s at the end of a grip, so that 1 N·m is emptied in the time of
     /// 10 N. A handle turns more readily than it moves, and a slower removal of torque lowers the torque that may
-    /// be rendered; see [`Passivity`].
+    /// be rendered; see the passivity controller.
     pub slew_nm_per_s: f64,
     /// Length of the soft start.
     pub soft_start: Span,

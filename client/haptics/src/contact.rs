@@ -51,7 +51,7 @@ pub struct ContactModel {
     /// it. Choose at least the travel of a hand between two models: 0.5 m/s times 10 ms is 5 mm.
     pub radius: f64,
     /// Net work of the other participants on the tissue since they joined, J. It may return to this hand; see
-    /// [`Passivity`](crate::Passivity).
+    /// the passivity controller.
     pub others_j: f64,
 }
 

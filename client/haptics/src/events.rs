@@ -100,7 +100,7 @@ pub struct Counters {
     /// Largest torque, N·m.
     pub max_torque_nm: f64,
     /// Minimum of the energy that the hand has put in since the start, J; see
-    /// [`EnergyObserver`](crate::EnergyObserver).
+    /// the energy observer.
     pub min_energy_j: f64,
 }
 

@@ -1,6 +1,6 @@
 //! `palpate-server host`: serves one session until it is interrupted.
 //!
-//! Threads: a small tokio runtime does the I/O of all peers, the thread that called [`host`] owns the room, and two
+//! Threads: a small tokio runtime does the I/O of all peers, the thread that called `host` owns the room, and two
 //! threads own the tissue. Messages of peers reach the room through one bounded inbox. Its outputs leave through
 //! bounded queues that never block it.
 
