@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use mock::Mock;
 use nalgebra::Vector3;
 use palpate_device::backend::dhd::{self, Dhd, DhdError};
-use palpate_device::backend::{Choice, LibraryError};
+use palpate_device::backend::{LibraryError, SelectionError};
 use palpate_device::conformance::{self, Hooks, Options, Outcome, Report, Row};
 use palpate_device::{
     Buttons, Calibration, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Rejection,
@@ -245,7 +245,10 @@ fn several_devices_are_listed_and_one_is_chosen_by_its_serial_number() {
         ["4000", "4001"]
     );
     let several = dhd::open(Some(&mock.file()), None).unwrap_err();
-    assert!(matches!(&several, DhdError::Choice(Choice::Several { .. })));
+    assert!(matches!(
+        &several,
+        DhdError::SelectionError(SelectionError::Several { .. })
+    ));
     assert!(several.to_string().contains("dhd:4000"), "{several}");
     assert!(dhd::open(Some(&mock.file()), Some("4001")).is_ok());
     assert_eq!(

@@ -8,7 +8,7 @@ use std::net::TcpListener;
 
 use fake_haply::{Fake, Manners, Told};
 use nalgebra::Vector3;
-use palpate_device::backend::Choice;
+use palpate_device::backend::SelectionError;
 use palpate_device::backend::haply::{self, Haply, HaplyError, Service};
 use palpate_device::conformance::{self, Hooks, Options, Outcome, Report, Row};
 use palpate_device::{
@@ -257,7 +257,7 @@ fn several_devices_are_listed_and_one_is_chosen_by_its_id() {
     let several = haply::open(&fake.service, None).unwrap_err();
     assert!(matches!(
         &several,
-        HaplyError::Choice(Choice::Several { .. })
+        HaplyError::SelectionError(SelectionError::Several { .. })
     ));
     let text = several.to_string();
     assert!(

@@ -39,7 +39,7 @@ pub const NAME_MAX_BYTES: usize = 64;
 pub const ROSTER_MAX: usize = 64;
 
 /// How long the server keeps the seat of a participant whose connection was lost.
-pub const SEAT_KEPT: Span = Span::from_millis(60_000);
+pub const SEAT_RETENTION: Span = Span::from_millis(60_000);
 
 /// The fixed bytes that come before everything else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -297,7 +297,7 @@ pub struct Welcome {
     pub tick_hz: u32,
     /// The start time of the scripts, if they have started.
     pub session_started_at: Option<ServerTime>,
-    /// The token that resumes this seat after a lost connection, within [`SEAT_KEPT`].
+    /// The token that resumes this seat after a lost connection, within [`SEAT_RETENTION`].
     pub resume_token: ResumeToken,
 }
 

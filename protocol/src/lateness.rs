@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Every track carries the lateness of its sender and of the server ([`Lateness`], in the datagram). The
-//! receiver's part is measured where the socket is read ([`StallWatch`]). The playout delay covers the
+//! receiver's part is measured where the socket is read ([`StallDetector`]). The playout delay covers the
 //! rest: the network.
 
 use crate::{ServerTime, Span};
@@ -126,7 +126,7 @@ const SETTLING_PART: i64 = 4;
 /// A running receiver wakes at its deadline at the latest. Past the deadline it was stalled, and a
 /// datagram in its queue may have arrived at any time since the queue was last empty.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct StallWatch {
+pub struct StallDetector {
     /// When the queue was last seen empty.
     empty_at: Span,
     deadline: Option<Span>,
@@ -145,7 +145,7 @@ struct Stall {
     settled_at: Span,
 }
 
-impl StallWatch {
+impl StallDetector {
     /// The receiver sleeps from `now` on, for at most `wait`; returns how long it may sleep.
     pub fn waits(&mut self, now: Span, wait: Span) -> Span {
         let wait = if now < self.watch_until {
@@ -285,7 +285,7 @@ mod tests {
 
     #[test]
     fn running_receiver_sees_no_stall_during_network_silence() {
-        let mut watch = StallWatch::default();
+        let mut watch = StallDetector::default();
         let mut now = Span::ZERO;
         for silence in [4, 4, 4, 300, 4, 4, 2000, 4] {
             // The timer fires until a datagram arrives.
@@ -308,7 +308,7 @@ mod tests {
 
     #[test]
     fn stall_counts_for_queued_datagrams_only() {
-        let mut watch = StallWatch::default();
+        let mut watch = StallDetector::default();
         for t in [0, 4, 8, 12] {
             watch.waits(ms(t - 4), ms(100));
             watch.wake(ms(t));
@@ -335,7 +335,7 @@ mod tests {
 
     #[test]
     fn stall_of_a_late_receiver_is_at_most_its_sleep() {
-        let mut watch = StallWatch::default();
+        let mut watch = StallDetector::default();
         for t in (0..10_000_i64).step_by(30) {
             watch.wake(ms(t));
             assert!(watch.handle_datagram(ms(t)) <= ms(30));

@@ -179,7 +179,7 @@ fn script_file(dir: &Path, name: &str) -> PathBuf {
 /// Number of strokes in a script: intervals with the button pressed.
 fn strokes(script: &Script) -> u64 {
     let mut was_held = false;
-    let begins = script.ways().iter().filter(|way| {
+    let begins = script.waypoints().iter().filter(|way| {
         let begins = way.button && !was_held;
         was_held = way.button;
         begins

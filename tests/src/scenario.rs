@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use palpate_client::realtime::worked;
-use palpate_device::script::{Hand, Script, ScriptPose, Tool as ScriptTool, WayPoint};
+use palpate_device::script::{Hand, Script, ScriptPose, Tool as ScriptTool, Waypoint};
 use palpate_device::{DeviceCaps, DeviceTime, Sample, Workspace, Wrench};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Events};
 use palpate_protocol::tool::ToolDescription;
@@ -160,7 +160,7 @@ impl Scenario {
     pub fn new(
         model: Arc<Model>,
         tool: ToolDescription,
-        path: Vec<WayPoint>,
+        path: Vec<Waypoint>,
     ) -> Result<Self, String> {
         let path = Script::new(ScriptTool::probe(1e-3), Hand::default(), path, false);
         Ok(Self {
@@ -277,7 +277,7 @@ fn solution(reactions: &[Reaction], at: &ScriptPose, residual: f64) -> Solution 
     for reaction in reactions {
         solution.frictionless.force += reaction.force;
         solution.frictionless.torque += reaction.torque;
-        for contact in &reaction.places {
+        for contact in &reaction.contact_patches {
             solution.pressed_n += contact.pressed;
             let v = at.velocity + at.angular_velocity.cross(&contact.lever);
             let across = v - contact.normal * contact.normal.dot(&v);

@@ -14,7 +14,7 @@
 use std::sync::Arc;
 
 use nalgebra::{Rotation3, UnitQuaternion};
-use palpate_device::script::{Hand, Tool, WayPoint};
+use palpate_device::script::{Hand, Tool, Waypoint};
 use palpate_device::{Script, ScriptError};
 use palpate_tissue::{Model, Solver, Topology, Vec3};
 
@@ -124,19 +124,20 @@ impl Sizes {
 
 /// Way points of a script.
 struct Path {
-    ways: Vec<WayPoint>,
+    waypoints: Vec<Waypoint>,
     turn: UnitQuaternion<f64>,
     length_s: f64,
 }
 
 impl Path {
-    fn to(&mut self, share: f64, at: Vec3) -> &mut WayPoint {
+    fn to(&mut self, share: f64, at: Vec3) -> &mut Waypoint {
         self.at_second(share * self.length_s, at)
     }
 
-    fn at_second(&mut self, t_s: f64, at: Vec3) -> &mut WayPoint {
-        self.ways.push(WayPoint::new(t_s, at).turned(self.turn));
-        self.ways.last_mut().expect("one was pushed")
+    fn at_second(&mut self, t_s: f64, at: Vec3) -> &mut Waypoint {
+        self.waypoints
+            .push(Waypoint::new(t_s, at).turned(self.turn));
+        self.waypoints.last_mut().expect("one was pushed")
     }
 
     /// Holds from `from` to `until` (shares), swaying between points `at(-1..1)`.
@@ -188,7 +189,7 @@ fn holder(location: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script
     let pressed = |side: f64| ball(&spot, r, sizes.press_depth) + along * (sizes.sway * side);
     let above = ball(&spot, r, -sizes.hover);
     let mut path = Path {
-        ways: Vec::new(),
+        waypoints: Vec::new(),
         turn: upright(&spot.normal, &along),
         length_s: seconds,
     };
@@ -202,7 +203,7 @@ fn holder(location: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script
     path.sway(0.82, 0.94, pressed);
     path.to(1.0, above);
     let tool = Tool::probe(r);
-    Script::new(tool, Hand::default(), path.ways, false)
+    Script::new(tool, Hand::default(), path.waypoints, false)
 }
 
 fn cutter(location: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script, ScriptError> {
@@ -210,7 +211,7 @@ fn cutter(location: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script
     let spot = location.spot(location.separation_m() / 2.0, 0.0, 2.0 * r);
     let gentle = sizes.press_depth / 2.0;
     let mut path = Path {
-        ways: Vec::new(),
+        waypoints: Vec::new(),
         turn: upright(&location.normal, &location.v),
         length_s: seconds,
     };
@@ -229,7 +230,7 @@ fn cutter(location: &ToolLocation, sizes: &Sizes, seconds: f64) -> Result<Script
     path.sway(0.70, 0.94, pressed);
     path.to(1.0, over);
     let tool = Tool::blade(r, sizes.blade_length);
-    Script::new(tool, Hand::default(), path.ways, false)
+    Script::new(tool, Hand::default(), path.waypoints, false)
 }
 
 /// The stroke from above the surface through the tissue and out again, with the button held.
@@ -267,7 +268,7 @@ mod tests {
 
     use palpate_anatomy::sample;
     use palpate_device::Script;
-    use palpate_device::script::WayPoint;
+    use palpate_device::script::Waypoint;
     use palpate_tissue::{Model, Topology, Vec3};
 
     use super::{SECONDS_MIN, Scripts};
@@ -275,8 +276,9 @@ mod tests {
     use crate::tool_location::ToolLocation;
 
     /// Peak speed of a script: 15/8 of the mean for a minimum-jerk motion.
-    fn top_speed(ways: &[WayPoint]) -> f64 {
-        ways.windows(2)
+    fn top_speed(waypoints: &[Waypoint]) -> f64 {
+        waypoints
+            .windows(2)
             .map(|w| 1.875 * (w[1].position - w[0].position).norm() / (w[1].t_s - w[0].t_s))
             .fold(0.0, f64::max)
     }
@@ -287,20 +289,21 @@ mod tests {
         for seconds in [SECONDS_MIN, 20.0] {
             let scripts = Scripts::for_location(&location, seconds).unwrap();
             for script in [&scripts.holder, &scripts.cutter] {
-                let ways = script.ways();
+                let waypoints = script.waypoints();
                 assert!(
-                    ways.iter()
+                    waypoints
+                        .iter()
                         .all(|w| w.position.iter().all(|c| c.is_finite()))
                 );
                 assert!(
-                    ways.windows(2).all(|w| w[0].t_s < w[1].t_s),
+                    waypoints.windows(2).all(|w| w[0].t_s < w[1].t_s),
                     "times increase"
                 );
                 assert!((script.end_s() - seconds).abs() < 1e-9);
             }
             if seconds == 20.0 {
                 for script in [&scripts.holder, &scripts.cutter] {
-                    let v = top_speed(script.ways());
+                    let v = top_speed(script.waypoints());
                     assert!(v < 0.1, "{v} m/s is no hand's speed");
                 }
             }
@@ -322,11 +325,11 @@ mod tests {
             })
         });
         let skin: Vec<Vec3> = skin.collect();
-        let ways = script.ways().iter().filter(|w| !w.button);
+        let waypoints = script.waypoints().iter().filter(|w| !w.button);
         let end_s = script.end_s();
-        let (first, last): (Vec<&WayPoint>, _) = ways.partition(|w| w.t_s < 0.3 * end_s);
+        let (first, last): (Vec<&Waypoint>, _) = waypoints.partition(|w| w.t_s < 0.3 * end_s);
         for presses in [first, last] {
-            let nearest = |w: &&WayPoint| {
+            let nearest = |w: &&Waypoint| {
                 let apart = skin.iter().map(|p| (p - w.position).norm());
                 apart.fold(f64::INFINITY, f64::min)
             };
@@ -337,8 +340,13 @@ mod tests {
 
     /// Height of the tip over the surface while the button is held: above, deep inside, above.
     fn stroke_passes_through(location: &ToolLocation, scripts: &Scripts) {
-        let held: Vec<&WayPoint> = scripts.cutter.ways().iter().filter(|w| w.button).collect();
-        let height = |w: &WayPoint| {
+        let held: Vec<&Waypoint> = scripts
+            .cutter
+            .waypoints()
+            .iter()
+            .filter(|w| w.button)
+            .collect();
+        let height = |w: &Waypoint| {
             let d: Vec3 = w.position - location.middle;
             let b = d.dot(&location.v);
             (w.position - location.surface(d.dot(&location.u), b).at).dot(&location.normal)
@@ -346,7 +354,7 @@ mod tests {
         assert!(height(held[0]) > 0.0 && height(held[held.len() - 1]) > 0.0);
         let deepest = held.iter().map(|w| height(w)).fold(0.0, f64::min);
         assert!(deepest < -location.spacing_m, "only {deepest} m deep");
-        let deep: Vec<&&WayPoint> = held.iter().filter(|w| height(w) < 0.0).collect();
+        let deep: Vec<&&Waypoint> = held.iter().filter(|w| height(w) < 0.0).collect();
         let length = (deep[deep.len() - 1].position - deep[0].position).norm();
         assert!(length > 3.0 * location.spacing_m, "only {length} m long");
         for way in held {

@@ -56,14 +56,14 @@ impl UserTable {
     fn script(&self, from_mm: f64, to_mm: f64) -> String {
         let path = self.table.path(&format!("script-{from_mm}-{to_mm}.toml"));
         let way = |t: f64, z: f64| format!("[[way]]\nt_s = {t:?}\nat_mm = [50.0, 50.0, {z:?}]\n");
-        let ways = [
+        let waypoints = [
             way(0.0, from_mm),
             way(0.5, to_mm),
             way(1.0, to_mm),
             way(1.5, from_mm),
         ];
         let head = "format = \"palpate-script/1\"\n[tool]\nkind = \"probe\"\nradius_mm = 5.0\n";
-        std::fs::write(&path, format!("{head}{}", ways.concat())).unwrap();
+        std::fs::write(&path, format!("{head}{}", waypoints.concat())).unwrap();
         path.display().to_string()
     }
 }

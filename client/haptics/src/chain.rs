@@ -272,7 +272,7 @@ impl Chain {
             if sample.faults.contains(Faults::TIME_JUMP) {
                 passivity.interrupt();
             }
-            passivity.set_others_work(model.others_j);
+            passivity.set_external_work(model.external_work_j);
             passivity.observe(&ToolState {
                 pose: sample.pose,
                 v: motion.v,
@@ -389,7 +389,7 @@ impl Chain {
     fn gains(&mut self, now: ClientTime, dt: Span, pose: &Pose, events: &mut Events) -> [f64; 2] {
         let dt_up = dt.min(DT_UP_MAX);
         let model = self.blend.model();
-        let is_outside = model.is_left_at(pose);
+        let is_outside = model.is_outside_at(pose);
         let age = now - self.solved_at;
         let Watched {
             gain,

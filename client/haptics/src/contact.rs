@@ -52,7 +52,7 @@ pub struct ContactModel {
     pub radius: f64,
     /// Net work of the other participants on the tissue since they joined, J. It may return to this hand; see
     /// the passivity controller.
-    pub others_j: f64,
+    pub external_work_j: f64,
 }
 
 impl ContactModel {
@@ -65,7 +65,7 @@ impl ContactModel {
         touches: [Touch::NONE; CONTACTS_MAX],
         couple: Vector3::new(0.0, 0.0, 0.0),
         radius: 0.0,
-        others_j: 0.0,
+        external_work_j: 0.0,
     };
 
     /// The tool touches nothing, as of `solved_at`.
@@ -124,7 +124,7 @@ impl ContactModel {
     }
 
     /// Whether the pivot or an active contact point of a tool at `pose` has left the radius of validity.
-    pub fn is_left_at(&self, pose: &Pose) -> bool {
+    pub fn is_outside_at(&self, pose: &Pose) -> bool {
         let moved = pose.position - self.x0;
         let turned = pose.orientation * self.turn0.inverse();
         moved.norm() > self.radius
@@ -141,7 +141,7 @@ impl ContactModel {
             && (self.turn0.coords.norm() - 1.0).abs() < 1e-3
             && self.couple.iter().all(|c| c.abs() <= FORCE_MAX_N)
             && (0.0..=COEFFICIENT_MAX).contains(&self.radius)
-            && self.others_j.abs() <= COEFFICIENT_MAX
+            && self.external_work_j.abs() <= COEFFICIENT_MAX
             && self.touches.iter().all(Touch::is_usable)
     }
 }
@@ -224,7 +224,7 @@ mod tests {
                 ..pressed()
             },
             ContactModel {
-                others_j: n,
+                external_work_j: n,
                 ..pressed()
             },
             ContactModel {
@@ -247,8 +247,8 @@ mod tests {
             orientation: UnitQuaternion::new(Vector3::z() * angle),
             ..Pose::default()
         };
-        assert!(!model.is_left_at(&turned(0.09)) && model.is_left_at(&turned(0.11)));
-        assert!(!pressed().is_left_at(&turned(1.0)));
+        assert!(!model.is_outside_at(&turned(0.09)) && model.is_outside_at(&turned(0.11)));
+        assert!(!pressed().is_outside_at(&turned(1.0)));
     }
 
     #[test]

@@ -35,7 +35,7 @@
 //! throw the hand back.
 //!
 //! Other participants who press on the same tissue put work into it, too, and may push this hand. Their net work
-//! counts as well ([`ContactModel::others_j`](crate::ContactModel)), and pays for the work they do on this hand.
+//! counts as well ([`ContactModel::external_work_j`](crate::ContactModel)), and pays for the work they do on this hand.
 //!
 //! Stored energy and debts decay after the contact, not at once, because a model without contact may arrive between
 //! two with one: a tool off an elastic tissue has got back all its work. The tank holds at most the force over the
@@ -120,13 +120,13 @@ pub(crate) struct Passivity {
     speeding_up: [Vector3<f64>; 2],
     /// Net work of the other participants since this contact began, J; never below zero. Their earlier work may be
     /// taken back only by themselves.
-    others_tank_j: f64,
+    external_tank_j: f64,
     /// Net work that the hand would have done against the withheld wrench, J.
     withheld_j: f64,
     /// Capacity of each of them, J.
     capacity_j: f64,
     /// The last reported work of the other participants.
-    others_j: Option<f64>,
+    external_work_j: Option<f64>,
 }
 
 impl Passivity {
@@ -140,10 +140,10 @@ impl Passivity {
             last: None,
             speeds: None,
             speeding_up: [Vector3::zeros(); 2],
-            others_tank_j: 0.0,
+            external_tank_j: 0.0,
             withheld_j: 0.0,
             capacity_j: 0.0,
-            others_j: None,
+            external_work_j: None,
         }
     }
 
@@ -160,9 +160,12 @@ impl Passivity {
     }
 
     /// Reports the net work of the other participants on the tissue since they joined, J.
-    pub(crate) fn set_others_work(&mut self, others_j: f64) {
-        let before = self.others_j.replace(others_j).unwrap_or(others_j);
-        self.others_tank_j = (self.others_tank_j + others_j - before).max(0.0);
+    pub(crate) fn set_external_work(&mut self, external_work_j: f64) {
+        let before = self
+            .external_work_j
+            .replace(external_work_j)
+            .unwrap_or(external_work_j);
+        self.external_tank_j = (self.external_tank_j + external_work_j - before).max(0.0);
     }
 
     /// Accounts for the motion of the tool since the last tick.
@@ -197,12 +200,12 @@ impl Passivity {
             None => {}
         }
         // The work that other participants have done on this hand is paid from their tank.
-        let debt = (-self.tank_j).max(0.0).min(self.others_tank_j);
+        let debt = (-self.tank_j).max(0.0).min(self.external_tank_j);
         self.tank_j += debt;
-        self.others_tank_j -= debt;
+        self.external_tank_j -= debt;
         for account in [
             &mut self.tank_j,
-            &mut self.others_tank_j,
+            &mut self.external_tank_j,
             &mut self.withheld_j,
         ] {
             *account = account.min(self.capacity_j);
@@ -223,7 +226,7 @@ impl Passivity {
         v: &Vector3<f64>,
         w: &Vector3<f64>,
     ) -> (Wrench, bool) {
-        let there = (self.tank_j + self.others_tank_j + self.withheld_j - RESERVE_J).max(0.0);
+        let there = (self.tank_j + self.external_tank_j + self.withheld_j - RESERVE_J).max(0.0);
         // The condition applies to the wrench of this tick, not to the target of the slew limit.
         let next = slew.peek(target);
         if next.torque == Vector3::zeros() && slew.torque.now() == Vector3::zeros() {

@@ -4,7 +4,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
-use palpate_device::script::{Hand, Tool, WayPoint};
+use palpate_device::script::{Hand, Tool, Waypoint};
 use palpate_device::{DeviceTime, Faults, HapticDevice, Pose, Sample, Script, Wrench};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Events, Tick, Touch};
 use palpate_protocol::ClientTime;
@@ -17,14 +17,14 @@ fn ms(ms: i64) -> ClientTime {
     ClientTime::from_micros(BOOT_US + ms * 1000)
 }
 
-fn hand(ways: Vec<WayPoint>) -> SimHand {
+fn hand(waypoints: Vec<Waypoint>) -> SimHand {
     let tool = Tool::probe(0.004);
-    let script = Script::new(tool, Hand::default(), ways, false).unwrap();
+    let script = Script::new(tool, Hand::default(), waypoints, false).unwrap();
     SimHand::new(script, ScriptStart::at(DeviceTime::from_micros(BOOT_US)))
 }
 
 fn chain() -> Chain {
-    let device = hand(vec![WayPoint::new(0.0, Vector3::zeros())]);
+    let device = hand(vec![Waypoint::new(0.0, Vector3::zeros())]);
     Chain::new(ChainConfig::default(), device.caps())
 }
 
@@ -50,7 +50,7 @@ fn pressed(at: ClientTime, force: f64) -> ContactModel {
         topology_version: 1,
         solved_at: at,
         radius: 0.01,
-        others_j: at.as_micros() as f64 * 1e-6,
+        external_work_j: at.as_micros() as f64 * 1e-6,
         ..ContactModel::single(touch(force, 300.0))
     }
 }
@@ -116,7 +116,7 @@ fn a_non_finite_model_is_rejected() {
 
 #[test]
 fn a_device_without_motors_gets_no_force_but_the_felt_wrench() {
-    let mut caps = hand(vec![WayPoint::new(0.0, Vector3::zeros())])
+    let mut caps = hand(vec![Waypoint::new(0.0, Vector3::zeros())])
         .caps()
         .clone();
     caps.dof_out = 0;
@@ -228,7 +228,7 @@ fn a_press_against_withheld_forces_is_felt_afterwards() {
     let alone = |t: i64, x: &Vector3<f64>| {
         let mut model = ContactModel {
             x0: *x,
-            others_j: 0.0,
+            external_work_j: 0.0,
             ..pressed(ms(t - t % 4), -300.0 * x.z)
         };
         model.touches[0].touches = x.z < 0.0;
@@ -314,7 +314,7 @@ fn a_clock_set_back_keeps_no_old_force_alive() {
         chain.tick(ms(t0), &at_rest, &pressed(ms(t0), 8.0));
         let model = |t| ContactModel {
             // A pressing hand does not notice the clock.
-            others_j: pressed(ms(t0 + t), 8.0).others_j,
+            external_work_j: pressed(ms(t0 + t), 8.0).external_work_j,
             ..pressed(ms(t0 + t - back_ms), 8.0)
         };
         fades(
@@ -419,10 +419,10 @@ fn stiffening(depth: f64) -> (f64, f64) {
 /// Returns the largest change of force per tick, and the largest error against the tissue's force, both N.
 fn press(interval: i64, delay: i64) -> (f64, f64) {
     let mut hand = hand(vec![
-        WayPoint::new(1.5, Vector3::new(0.0, 0.0, 0.002)),
-        WayPoint::new(2.0, Vector3::new(0.0, 0.0, -0.012)),
-        WayPoint::new(2.5, Vector3::new(0.0, 0.0, -0.012)),
-        WayPoint::new(3.0, Vector3::new(0.0, 0.0, 0.002)),
+        Waypoint::new(1.5, Vector3::new(0.0, 0.0, 0.002)),
+        Waypoint::new(2.0, Vector3::new(0.0, 0.0, -0.012)),
+        Waypoint::new(2.5, Vector3::new(0.0, 0.0, -0.012)),
+        Waypoint::new(3.0, Vector3::new(0.0, 0.0, 0.002)),
     ]);
     hand.enable_forces(true).unwrap();
     let mut chain = Chain::new(ChainConfig::default(), hand.caps());

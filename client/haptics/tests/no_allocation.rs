@@ -10,9 +10,9 @@ use palpate_device::backend::five_dof;
 use palpate_device::backend::pointer::{Modifiers, Pointer, PointerConfig, PointerEvent, View};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::backend::steered::{
-    Controls, Gone, Kind, News, RateControl, Rumble, Source, Space, Steered,
+    Controls, DeviceLost, Kind, RateControl, Rumble, Source, SourceEvent, Space, Steered,
 };
-use palpate_device::script::{Hand, Tool, WayPoint};
+use palpate_device::script::{Hand, Tool, Waypoint};
 use palpate_device::{Buttons, DeviceCaps, DeviceTime, HapticDevice, Pose, Script, Workspace};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Touch};
 use palpate_protocol::ClientTime;
@@ -90,19 +90,19 @@ fn tissue(us: i64, pose: &Pose, contacts: usize) -> ContactModel {
 
 fn script() -> Script {
     let tool = Tool::probe(0.004);
-    let ways = vec![
-        WayPoint::new(0.0, Vector3::new(0.0, 0.0, 0.01)),
-        WayPoint::new(1.0, Vector3::new(0.0, 0.0, -0.02)),
-        WayPoint::new(2.0, Vector3::new(0.05, 0.0, -0.02))
+    let waypoints = vec![
+        Waypoint::new(0.0, Vector3::new(0.0, 0.0, 0.01)),
+        Waypoint::new(1.0, Vector3::new(0.0, 0.0, -0.02)),
+        Waypoint::new(2.0, Vector3::new(0.05, 0.0, -0.02))
             .pressed()
             .turned(UnitQuaternion::new(Vector3::new(0.15, 0.0, 0.0))),
-        WayPoint::new(3.0, Vector3::new(0.0, 0.0, 0.01)),
+        Waypoint::new(3.0, Vector3::new(0.0, 0.0, 0.01)),
     ];
     let tremor = Hand {
         tremor_m: 0.000_2,
         ..Hand::default()
     };
-    Script::new(tool, tremor, ways, true).unwrap()
+    Script::new(tool, tremor, waypoints, true).unwrap()
 }
 
 /// Ten thousand ticks with faults; returns the allocator calls and the chain's counters.
@@ -182,9 +182,9 @@ fn ten_thousand_ticks_allocate_nothing() {
 struct Pushes;
 
 impl Source for Pushes {
-    fn listen(&mut self, patience: std::time::Duration) -> Result<News, Gone> {
+    fn listen(&mut self, patience: std::time::Duration) -> Result<SourceEvent, DeviceLost> {
         std::thread::park_timeout(patience / 16);
-        Ok(News::Controls(Controls {
+        Ok(SourceEvent::Controls(Controls {
             push: Vector3::new(0.0, 0.0, -1.0),
             ..Controls::NEUTRAL
         }))

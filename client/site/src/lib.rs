@@ -34,11 +34,11 @@ mod tools;
 
 pub use connection::{Action, ConnectionStatus, Farewell, Reconnector};
 pub use replica::{
-    CutNews, CutOrder, Drift, HAPTIC_PERIOD, Prefetch, Replica, ReplicaError, ThinCounters,
-    ThinView, VIEW_TOLERANCE, View, ViewCut, hand_budget,
+    CutOrder, CutWorkerEvent, Drift, HAPTIC_PERIOD, Prefetch, Replica, ReplicaError, ThinCounters,
+    ThinView, VIEW_ITERATIONS, VIEW_TOLERANCE, View, ViewCut, hand_budget,
 };
 pub use site::{
-    OperationRecord, RESYNCS_MAX, Site, SiteCounters, SiteError, ViewFrame, ViewNews, grid_index,
-    grid_moment,
+    OperationRecord, RESYNCS_MAX, Site, SiteCounters, SiteError, ViewFrame, ViewUpdate, grid_index,
+    grid_time,
 };
 pub use tools::{Reach, Roster, StrokeCollector, ToolAt, tissue_stroke};

@@ -7,7 +7,7 @@ use palpate_device::{Buttons, HapticDevice, Pose, Script, ScriptError};
 use palpate_protocol::Role;
 use palpate_tissue::Model;
 
-use super::{DeviceKind, Hold, input, owned};
+use super::{DeviceKind, HeldDevice, input, owned};
 use crate::{ClientError, JoinOptions};
 
 /// Tool of a recorded motion without a script: a ball of 8 mm radius.
@@ -28,7 +28,7 @@ pub(crate) enum Moves {
     /// The device replays the recording.
     Motion(Motion),
     /// The user holds the device.
-    Held(Hold),
+    Held(HeldDevice),
 }
 
 impl Guide {
@@ -83,7 +83,7 @@ impl Guide {
     pub(crate) fn held(script: Option<&Script>, kind: DeviceKind) -> Self {
         Self {
             tool: script.map_or(BALL, Script::tool),
-            moves: Moves::Held(Hold::new(kind, script)),
+            moves: Moves::Held(HeldDevice::new(kind, script)),
         }
     }
 
@@ -94,9 +94,9 @@ impl Guide {
     }
 
     /// Places a held device relative to the tissue.
-    pub(crate) fn find_place(&mut self, model: &Model) {
+    pub(crate) fn place_workspace(&mut self, model: &Model) {
         if let Moves::Held(hold) = &mut self.moves {
-            hold.find_place(model);
+            hold.place_workspace(model);
         }
     }
 

@@ -22,7 +22,7 @@ type Extent = (Vector3<f64>, Vector3<f64>);
 
 /// A held device and its placement.
 #[derive(Debug, Clone)]
-pub(crate) struct Hold {
+pub(crate) struct HeldDevice {
     /// The requested device, or the best connected one.
     pub(crate) kind: DeviceKind,
     /// Initial pose of the script, and the bounding box of its way points.
@@ -30,26 +30,26 @@ pub(crate) struct Hold {
     tissue: Option<Extent>,
 }
 
-impl Hold {
+impl HeldDevice {
     /// A script does not move a held device; it only places it.
     pub(crate) fn new(kind: DeviceKind, script: Option<&Script>) -> Self {
         Self {
             kind,
             script: script.map(|script| {
-                let first = &script.ways()[0];
+                let first = &script.waypoints()[0];
                 let begins = Pose {
                     position: first.position,
                     orientation: first.orientation,
                 };
-                let ways = script.ways().iter().map(|way| way.position);
-                (begins, extent(first.position, ways))
+                let waypoints = script.waypoints().iter().map(|way| way.position);
+                (begins, extent(first.position, waypoints))
             }),
             tissue: None,
         }
     }
 
     /// Sets the tissue to reach; known once the session's model has arrived.
-    pub(crate) fn find_place(&mut self, model: &Model) {
+    pub(crate) fn place_workspace(&mut self, model: &Model) {
         let nodes = || model.nodes.iter().copied();
         self.tissue = nodes().next().map(|first| extent(first, nodes()));
     }
@@ -107,11 +107,11 @@ fn extent(first: Vector3<f64>, rest: impl Iterator<Item = Vector3<f64>>) -> Exte
 mod tests {
     use nalgebra::Vector3;
     use palpate_device::backend::sim::{ScriptStart, SimHand};
-    use palpate_device::script::{Hand, Tool, WayPoint};
+    use palpate_device::script::{Hand, Tool, Waypoint};
     use palpate_device::{HapticDevice, Script};
     use palpate_tissue::{Material, Model, block};
 
-    use super::{ABOVE_M, DeviceKind, Hold, MARGIN_M};
+    use super::{ABOVE_M, DeviceKind, HeldDevice, MARGIN_M};
 
     fn tissue() -> Model {
         block([10, 10, 6], 4e-3, &Material::default(), 1)
@@ -120,16 +120,16 @@ mod tests {
     /// A script that begins far away and moves 20 mm.
     fn script() -> Script {
         let begins = Vector3::new(2.0, 0.0, 0.0);
-        let ways = vec![
-            WayPoint::new(0.0, begins),
-            WayPoint::new(1.0, begins + Vector3::new(0.0, 0.02, 0.0)),
+        let waypoints = vec![
+            Waypoint::new(0.0, begins),
+            Waypoint::new(1.0, begins + Vector3::new(0.0, 0.02, 0.0)),
         ];
-        Script::new(Tool::probe(4e-3), Hand::default(), ways, false).unwrap()
+        Script::new(Tool::probe(4e-3), Hand::default(), waypoints, false).unwrap()
     }
 
-    fn found(kind: DeviceKind, script: Option<&Script>) -> Hold {
-        let mut hold = Hold::new(kind, script);
-        hold.find_place(&tissue());
+    fn found(kind: DeviceKind, script: Option<&Script>) -> HeldDevice {
+        let mut hold = HeldDevice::new(kind, script);
+        hold.place_workspace(&tissue());
         hold
     }
 
@@ -155,7 +155,7 @@ mod tests {
         let mut caps = SimHand::new(at_rest.clone(), start()).caps().clone();
         caps.workspace.min = Vector3::new(-0.2, 0.7, 0.1);
         caps.workspace.max = Vector3::new(0.2, 0.9, 0.2);
-        let middle_of = |hold: Hold| {
+        let middle_of = |hold: HeldDevice| {
             let hand = SimHand::with_caps(at_rest.clone(), start(), caps.clone());
             let workspace = hold.placed(Box::new(hand)).caps().workspace;
             (workspace.min + workspace.max) / 2.0
@@ -163,8 +163,8 @@ mod tests {
         let middle = middle_of(found(DeviceKind::Dhd, None));
         assert!((middle - above()).norm() < 1e-12, "{middle:?}");
         let middle = middle_of(found(DeviceKind::Dhd, Some(&script())));
-        let ways = Vector3::new(2.0, 0.01, 0.0);
-        assert!((middle - ways).norm() < 1e-12, "{middle:?}");
+        let waypoints = Vector3::new(2.0, 0.01, 0.0);
+        assert!((middle - waypoints).norm() < 1e-12, "{middle:?}");
     }
 
     #[test]
@@ -182,7 +182,7 @@ mod tests {
     fn script_start_is_within_reach_of_steered_tool() {
         let script = script();
         let space = found(DeviceKind::SpaceMouse, Some(&script)).space();
-        let first = &script.ways()[0];
+        let first = &script.waypoints()[0];
         assert_eq!(
             (space.start.position, space.start.orientation),
             (first.position, first.orientation)
@@ -192,7 +192,7 @@ mod tests {
 
     #[test]
     fn steered_tool_opens_before_tissue_is_known() {
-        let space = Hold::new(DeviceKind::Gamepad, None).space();
+        let space = HeldDevice::new(DeviceKind::Gamepad, None).space();
         assert!(space.workspace.contains(&space.start.position));
     }
 }

@@ -3,7 +3,7 @@
 use palpate_device::HapticDevice;
 use palpate_device::backend::steered::Space;
 
-use super::{DeviceError, DeviceKind, Hold};
+use super::{DeviceError, DeviceKind, HeldDevice};
 
 /// Kinds that can be searched for, best first: a 6-DOF mouse rotates the tool about every axis at once.
 const KINDS: [DeviceKind; 2] = [DeviceKind::SpaceMouse, DeviceKind::Gamepad];
@@ -11,7 +11,7 @@ const KINDS: [DeviceKind; 2] = [DeviceKind::SpaceMouse, DeviceKind::Gamepad];
 /// The best kind with a connected device. These devices can only be detected by opening them.
 pub(super) fn best() -> Option<DeviceKind> {
     KINDS.into_iter().find(|kind| {
-        let opened = open(*kind, &Hold::new(*kind, None).space());
+        let opened = open(*kind, &HeldDevice::new(*kind, None).space());
         opened.map(|mut device| device.close()).is_ok()
     })
 }

@@ -20,7 +20,7 @@ use serde::Serialize;
 pub(crate) use choice::DeviceChoice;
 pub(crate) use command::{DevicesArguments, run};
 pub(crate) use guide::{Guide, Moves};
-pub(crate) use hold::Hold;
+pub(crate) use hold::HeldDevice;
 pub use owned::{OwnedError, Sources};
 pub use script_tool::tool_description;
 
@@ -175,7 +175,7 @@ pub enum DeviceError {
     BuiltWithout(&'static str),
 }
 
-/// Opens a device with its guide. A held motorised device stays in its own frame until [`Hold::placed`] places it in
+/// Opens a device with its guide. A held motorised device stays in its own frame until [`HeldDevice::placed`] places it in
 /// the scene.
 pub(crate) fn open(
     choice: &DeviceChoice,

@@ -87,7 +87,7 @@ impl<'a> Connection<'a> {
                     }
                 }
                 Action::Connect(hello, delay) => {
-                    tracing::info!("reconnecting");
+                    tracing::info!(why = ?self.reconnector.status().lost, "reconnecting");
                     present.attempt = Some(Box::pin(join(self.link, *hello, Some(delay))));
                 }
                 Action::End(farewell) => return Some(farewell),

@@ -131,7 +131,7 @@ impl Threads {
             .filter(|tool| tool.kind == ToolKind::Blade)
             .map(|tool| tool.length_m);
         if let Some(guide) = &mut guide {
-            guide.find_place(&model);
+            guide.place_workspace(&model);
         }
         let reach = guide
             .as_ref()

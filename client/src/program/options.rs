@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use palpate_protocol::handshake::{SEAT_KEPT, Subscription};
+use palpate_protocol::handshake::{SEAT_RETENTION, Subscription};
 
 use crate::{DeviceKind, Sources};
 
@@ -54,7 +54,7 @@ pub struct JoinOptions {
     pub start_at: StartAt,
     /// Leave after this time; `None` stays until the session ends.
     pub duration: Option<Duration>,
-    /// How long to try to reconnect after a lost connection; the server keeps the seat for [`SEAT_KEPT`].
+    /// How long to try to reconnect after a lost connection; the server keeps the seat for [`SEAT_RETENTION`].
     pub reconnect: Duration,
     /// Folder of the seat file, with which a run after a crash resumes its seat. `None` keeps nothing.
     pub state: Option<PathBuf>,
@@ -84,7 +84,7 @@ impl JoinOptions {
             motion: None,
             start_at: StartAt::default(),
             duration: None,
-            reconnect: Duration::from_micros(SEAT_KEPT.as_micros().unsigned_abs()),
+            reconnect: Duration::from_micros(SEAT_RETENTION.as_micros().unsigned_abs()),
             state: None,
             record: None,
             realtime: true,

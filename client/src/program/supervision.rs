@@ -117,9 +117,8 @@ impl Supervision<'_> {
             ));
         }
         if now.requests_lost > self.connection.requests_lost {
-            self.status.print(
-                "your request (a cut or a change of tool) was lost with the connection; please repeat it",
-            );
+            self.status
+                .print("your cut was lost with the connection; please repeat it");
         }
         self.connection = now;
     }

@@ -5,7 +5,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 /// Keeps parallel loops of the calling thread on that thread while the returned pool lives. A real-time solver must
 /// not wait for ordinary threads, and its CPU budget must cover all of its work. `None` if the thread already belongs
 /// to a pool.
-pub(crate) fn compute_alone() -> Option<ThreadPool> {
+pub(crate) fn single_thread_pool() -> Option<ThreadPool> {
     let pool = ThreadPoolBuilder::new().num_threads(1).use_current_thread();
     pool.build().ok()
 }
@@ -14,12 +14,12 @@ pub(crate) fn compute_alone() -> Option<ThreadPool> {
 mod tests {
     use rayon::prelude::*;
 
-    use super::compute_alone;
+    use super::single_thread_pool;
 
     #[test]
     fn parallel_loops_run_on_calling_thread() {
         std::thread::spawn(|| {
-            let pool = compute_alone();
+            let pool = single_thread_pool();
             assert!(pool.is_some());
             let me = std::thread::current().id();
             let all_mine = (0..1000)

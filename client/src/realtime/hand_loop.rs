@@ -73,7 +73,7 @@ pub fn local_sample(frame: &Frame) -> LocalSample {
 
 /// Commands of the program to the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Wishes {
+pub struct LoopCommands {
     /// The link to the session is lost: the force fades within 100 ms.
     pub link_lost: bool,
     /// Stop the loop: the force fades as after a lost link.
@@ -164,9 +164,14 @@ impl HandLoop {
     }
 
     /// One tick at `now` on the client's clock, with the newest contact `model`.
-    pub fn turn(&mut self, now: ClientTime, wishes: Wishes, model: &ContactModel) -> Turned {
+    pub fn turn(
+        &mut self,
+        now: ClientTime,
+        loop_commands: LoopCommands,
+        model: &ContactModel,
+    ) -> Turned {
         let at = self.device_now(now);
-        self.steer(now, wishes);
+        self.steer(now, loop_commands);
         let reading = self.device.read(at);
         self.notice_cut();
         let (tick, good) = match reading {
@@ -204,7 +209,7 @@ impl HandLoop {
         Turned {
             frame: self.last,
             is_good: good.is_some(),
-            is_over: wishes.stop && self.has_stopped(),
+            is_over: loop_commands.stop && self.has_stopped(),
         }
     }
 
@@ -220,8 +225,8 @@ impl HandLoop {
     }
 
     /// A stop fades the force like a lost link.
-    fn steer(&mut self, now: ClientTime, wishes: Wishes) {
-        let lost = wishes.link_lost || wishes.stop;
+    fn steer(&mut self, now: ClientTime, loop_commands: LoopCommands) {
+        let lost = loop_commands.link_lost || loop_commands.stop;
         if lost && !self.link_is_lost {
             self.chain.link_lost(now);
         } else if !lost && self.link_is_lost {
@@ -310,7 +315,7 @@ mod tests {
     use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
     use palpate_protocol::{ClientTime, Span};
 
-    use super::{HandLoop, Pose, Turned, Wishes};
+    use super::{HandLoop, LoopCommands, Pose, Turned};
 
     const MS: Span = Span::from_millis(1);
 
@@ -403,7 +408,7 @@ mod tests {
             let model = ContactModel {
                 topology_version: 1,
                 solved_at: now,
-                others_j: self.us as f64 * 1e-6,
+                external_work_j: self.us as f64 * 1e-6,
                 radius: 0.05,
                 ..ContactModel::single(Touch::at_pivot(
                     Vector3::new(0.0, 0.0, 6.0),
@@ -411,7 +416,7 @@ mod tests {
                     Vector3::z(),
                 ))
             };
-            self.hand.turn(now, Wishes::default(), &model)
+            self.hand.turn(now, LoopCommands::default(), &model)
         }
 
         fn renders(&self) -> f64 {

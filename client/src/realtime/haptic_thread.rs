@@ -12,7 +12,7 @@ use palpate_transport::threads::{self, Scheduling, ThreadClass};
 use triple_buffer::{Input, Output, triple_buffer};
 
 use super::clock;
-use super::hand_loop::{Frame, HandLoop, Turned, Wishes};
+use super::hand_loop::{Frame, HandLoop, LoopCommands, Turned};
 use super::handle::{HapticHandle, LoopSummary};
 use super::pace::Pace;
 use super::stats::{LoopStats, Meter};
@@ -155,7 +155,9 @@ impl HapticLoop {
             let deadline = pace.deadline();
             clock::sleep_until(deadline);
             let woke = clock::monotonic_now();
-            let turned = self.hand.turn(woke, self.wishes(), self.models.read());
+            let turned = self
+                .hand
+                .turn(woke, self.loop_commands(), self.models.read());
             self.publish(&turned);
             let done = clock::monotonic_now();
             self.meter.record(deadline, woke);
@@ -173,8 +175,8 @@ impl HapticLoop {
     }
 
     /// The current commands of the handle.
-    fn wishes(&self) -> Wishes {
-        Wishes {
+    fn loop_commands(&self) -> LoopCommands {
+        LoopCommands {
             link_lost: self.control.link_lost.load(Ordering::Acquire),
             stop: self.control.stop.load(Ordering::Acquire),
         }

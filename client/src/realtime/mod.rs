@@ -26,9 +26,11 @@ mod stats;
 mod tests;
 mod trace;
 
-pub(crate) use alone::compute_alone;
+pub(crate) use alone::single_thread_pool;
 pub use clock::{device_time, monotonic_now, sleep_until, worked};
-pub use hand_loop::{DeviceCounts, ENABLE_EVERY, Frame, HandLoop, Turned, Wishes, local_sample};
+pub use hand_loop::{
+    DeviceCounts, ENABLE_EVERY, Frame, HandLoop, LoopCommands, Turned, local_sample,
+};
 pub use handle::{HapticHandle, LoopSummary};
 pub use haptic_thread::{HapticPorts, RealtimeConfig, spawn};
 pub use pace::Pace;

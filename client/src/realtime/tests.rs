@@ -99,7 +99,7 @@ fn contact() -> ContactModel {
     ContactModel {
         topology_version: 1,
         solved_at: now,
-        others_j: now.as_micros() as f64 * 1e-6,
+        external_work_j: now.as_micros() as f64 * 1e-6,
         radius: 0.05,
         ..ContactModel::single(Touch::at_pivot(
             Vector3::new(0.0, 0.0, 3.0),
@@ -229,13 +229,13 @@ fn stalled_reader_loses_frames_only() {
 
 #[test]
 fn simulated_hand_starts_script_with_session() {
-    use palpate_device::script::{Hand, Tool, WayPoint};
+    use palpate_device::script::{Hand, Tool, Waypoint};
     let tool = Tool::probe(0.004);
-    let ways = vec![
-        WayPoint::new(0.0, Vector3::zeros()),
-        WayPoint::new(0.1, Vector3::new(0.02, 0.0, 0.0)),
+    let waypoints = vec![
+        Waypoint::new(0.0, Vector3::zeros()),
+        Waypoint::new(0.1, Vector3::new(0.02, 0.0, 0.0)),
     ];
-    let script = Script::new(tool, Hand::default(), ways, false).unwrap();
+    let script = Script::new(tool, Hand::default(), waypoints, false).unwrap();
     let begin = ScriptStart::not_yet();
     let (handle, mut ports) = start(SimHand::new(script, begin.clone()));
     let mut seen = 0;

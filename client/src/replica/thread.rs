@@ -13,7 +13,7 @@ use palpate_haptics::ContactModel;
 use palpate_protocol::request::RequestKind;
 use palpate_protocol::session::ClientEvent;
 use palpate_protocol::{ClientTime, LocalSample, Span};
-use palpate_site::{HAPTIC_PERIOD, Reach, Site, SiteError, ThinView, ViewNews, hand_budget};
+use palpate_site::{HAPTIC_PERIOD, Reach, Site, SiteError, ThinView, ViewUpdate, hand_budget};
 use palpate_transport::ClientCommand;
 use palpate_transport::threads::{self, CpuBudget, ThreadClass};
 use tokio::sync::mpsc;
@@ -24,12 +24,12 @@ use super::progress::{Part, Progress};
 use super::view_thread::{Order, ViewReport, ViewThread};
 use crate::network::Inbox;
 use crate::program::Ending;
-use crate::realtime::{Frame, compute_alone, device_time, monotonic_now, sleep_until, worked};
+use crate::realtime::{Frame, device_time, monotonic_now, single_thread_pool, sleep_until, worked};
 use crate::recording::{Recording, VIEW_HZ, ViewRecord};
 use crate::{SolveTimes, StartAt, Summary};
 
-/// Period of a client without a hand: it only starts views, at most 60 per second.
-const VIEW_POLL_PERIOD: Span = Span::from_millis(8);
+/// Maximum period of a client without a hand, which only starts views.
+const VIEW_POLL_PERIOD_MAX: Span = Span::from_millis(8);
 
 /// Upper bound of the solve time histogram, µs.
 const SOLVE_MAX_US: u64 = 1_000_000;
@@ -90,7 +90,7 @@ impl ReplicaThread {
             ThreadClass::Background
         };
         let thread = threads::spawn(class, "replica", move || {
-            let _pool = compute_alone();
+            let _pool = single_thread_pool();
             replica.run(&stopped, class.budget());
             replica
         })?;
@@ -165,7 +165,10 @@ impl ReplicaLoop {
         let mut charged = worked();
         let period = match self.inputs.hand {
             Some(_) => HAPTIC_PERIOD,
-            None => VIEW_POLL_PERIOD,
+            None => {
+                let half_a_tick = Span::from_micros(500_000 / self.inputs.site.tick_hz().max(1));
+                half_a_tick.clamp(HAPTIC_PERIOD, VIEW_POLL_PERIOD_MAX)
+            }
         };
         while !stop.load(Ordering::Acquire) {
             if self.ending.is_none() {
@@ -356,10 +359,10 @@ impl ReplicaLoop {
         let Some(helpers) = &mut self.helpers else {
             return;
         };
-        while let Some(news) = self.inputs.site.poll_view_news() {
+        while let Some(news) = self.inputs.site.poll_view_update() {
             helpers.view.order(match news {
-                ViewNews::Cut(cut) => Order::Cut(cut),
-                ViewNews::Corrections(corrections) => Order::Correct(corrections),
+                ViewUpdate::Cut(cut) => Order::Cut(cut),
+                ViewUpdate::Corrections(corrections) => Order::Correct(corrections),
             });
         }
         if helpers.view.is_busy() {
@@ -418,7 +421,9 @@ impl ReplicaLoop {
             return;
         };
         let site = &mut self.inputs.site;
-        let delay = site.moment(monotonic_now()).map_or(Span::ZERO, |(_, d)| d);
+        let delay = site
+            .common_time(monotonic_now())
+            .map_or(Span::ZERO, |(_, d)| d);
         progress.delay = delay;
         progress.clock_error = site.clock().map(|c| c.error_bound());
         progress.topology_version = site.replica().topology().version();

@@ -5,15 +5,12 @@ use std::thread::JoinHandle;
 
 use palpate_protocol::datagram::Corrections;
 use palpate_protocol::{ClientTime, ServerTime, Span};
-use palpate_site::{Drift, VIEW_TOLERANCE, View, ViewCut, ViewFrame};
+use palpate_site::{Drift, VIEW_ITERATIONS, VIEW_TOLERANCE, View, ViewCut, ViewFrame};
 use palpate_tissue::Budget;
 use palpate_transport::threads::{self, ThreadClass};
 
-use crate::realtime::{compute_alone, monotonic_now, worked};
+use crate::realtime::{monotonic_now, single_thread_pool, worked};
 use crate::recording::ViewRecord;
-
-/// Iterations per view: the same number as the server's.
-const ITERATIONS: usize = 1;
 
 /// CPU time limit of one view. With elapsed time a busy machine would end a solve before it began.
 const WORK: Span = Span::from_millis(5);
@@ -55,7 +52,7 @@ impl ViewThread {
         let (orders, received) = channel();
         let (sender, reports) = channel();
         let thread = threads::spawn(ThreadClass::Background, "view", move || {
-            let _pool = compute_alone();
+            let _pool = single_thread_pool();
             serve(view, &received, &sender);
         })?;
         Ok(Self {
@@ -135,7 +132,7 @@ fn show(view: &mut View, frame: &ViewFrame, is_recorded: bool) -> ViewReport {
     let mut stop = || worked() - at_first > WORK;
     let budget = Budget {
         near: false,
-        iterations: ITERATIONS,
+        iterations: VIEW_ITERATIONS,
         tolerance: VIEW_TOLERANCE,
         stop: Some(&mut stop),
     };

@@ -23,7 +23,7 @@ impl fmt::Display for Found {
 
 /// Reason why the choice of a device fails.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub enum Choice {
+pub enum SelectionError {
     /// No device is plugged in.
     #[error("no device of the kind {kind} is plugged in: {hint}")]
     None {
@@ -75,7 +75,7 @@ pub(super) fn choose(
     hint: &'static str,
     found: &[Found],
     which: Option<&str>,
-) -> Result<usize, Choice> {
+) -> Result<usize, SelectionError> {
     let is_any_free = found.iter().any(|f| f.is_free);
     let fits = |f: &Found| match which {
         Some(which) => f.id.eq_ignore_ascii_case(which),
@@ -84,18 +84,18 @@ pub(super) fn choose(
     let places: Vec<usize> = (0..found.len()).filter(|&i| fits(&found[i])).collect();
     match (places.as_slice(), which) {
         ([one], _) => Ok(*one),
-        (_, _) if found.is_empty() => Err(Choice::None { kind, hint }),
-        ([], which) => Err(Choice::NoSuch {
+        (_, _) if found.is_empty() => Err(SelectionError::None { kind, hint }),
+        ([], which) => Err(SelectionError::NoSuch {
             kind,
             which: which.unwrap_or_default().to_owned(),
             found: found.to_vec(),
         }),
-        (many, Some(which)) => Err(Choice::Alike {
+        (many, Some(which)) => Err(SelectionError::Alike {
             kind,
             which: which.to_owned(),
             count: many.len(),
         }),
-        (_, None) => Err(Choice::Several {
+        (_, None) => Err(SelectionError::Several {
             kind,
             found: found.to_vec(),
         }),
@@ -104,7 +104,7 @@ pub(super) fn choose(
 
 #[cfg(test)]
 mod tests {
-    use super::{Choice, Found, choose};
+    use super::{Found, SelectionError, choose};
 
     fn found(ids: &[&str]) -> Vec<Found> {
         let one = |id: &&str| Found {
@@ -120,10 +120,13 @@ mod tests {
         let pick = |ids: &[&str], which| choose("haply", "look", &found(ids), which);
         assert_eq!(pick(&["049D"], None), Ok(0));
         assert_eq!(pick(&["049D", "04BA"], Some("04ba")), Ok(1));
-        assert!(matches!(pick(&[], None), Err(Choice::None { .. })));
-        assert!(matches!(pick(&[], Some("1")), Err(Choice::None { .. })));
+        assert!(matches!(pick(&[], None), Err(SelectionError::None { .. })));
+        assert!(matches!(
+            pick(&[], Some("1")),
+            Err(SelectionError::None { .. })
+        ));
         let twice = pick(&["049D", "049D"], Some("049D")).unwrap_err();
-        assert!(matches!(twice, Choice::Alike { count: 2, .. }));
+        assert!(matches!(twice, SelectionError::Alike { count: 2, .. }));
     }
 
     #[test]
@@ -140,7 +143,7 @@ mod tests {
         assert_eq!(pick(&[false, true], Some("0")), Ok(0));
         for doubtful in [&[false, false][..], &[true, false, true]] {
             let several = pick(doubtful, None);
-            assert!(matches!(several, Err(Choice::Several { .. })));
+            assert!(matches!(several, Err(SelectionError::Several { .. })));
         }
     }
 

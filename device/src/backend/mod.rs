@@ -17,5 +17,5 @@ pub mod sim;
 pub mod spacemouse;
 pub mod steered;
 
-pub use found::{Choice, Found};
+pub use found::{Found, SelectionError};
 pub use library::LibraryError;

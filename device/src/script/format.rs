@@ -4,7 +4,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::tool::ToolTable;
-use super::{Ease, Hand, Script, ScriptError, WayPoint};
+use super::{Ease, Hand, Script, ScriptError, Waypoint};
 
 /// The first line of every script.
 const FORMAT: &str = "palpate-script/1";
@@ -19,7 +19,7 @@ struct File {
     #[serde(default)]
     hand: HandTable,
     #[serde(default)]
-    way: Vec<WayTable>,
+    way: Vec<WaypointTable>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -52,7 +52,7 @@ impl From<Hand> for HandTable {
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct WayTable {
+struct WaypointTable {
     t_s: f64,
     at_mm: [f64; 3],
     #[serde(default)]
@@ -70,17 +70,17 @@ impl Script {
         if file.format != FORMAT {
             return Err(ScriptError::Format { found: file.format });
         }
-        let mut ways = Vec::with_capacity(file.way.len());
+        let mut waypoints = Vec::with_capacity(file.way.len());
         let mut orientation = UnitQuaternion::identity();
         for (i, way) in file.way.iter().enumerate() {
             if let Some(quat) = way.quat {
-                orientation = unit(quat).ok_or(ScriptError::Way {
+                orientation = unit(quat).ok_or(ScriptError::Waypoint {
                     number: i + 1,
                     t_s: way.t_s,
                     rule: "quat = [w, x, y, z] must have length 1 (within 1 %)",
                 })?;
             }
-            ways.push(WayPoint {
+            waypoints.push(Waypoint {
                 t_s: way.t_s,
                 position: Vector3::from(way.at_mm) / 1e3,
                 orientation,
@@ -88,7 +88,7 @@ impl Script {
                 ease: way.ease,
             });
         }
-        Self::new(file.tool.tool(), hand(&file.hand), ways, file.repeat)
+        Self::new(file.tool.tool(), hand(&file.hand), waypoints, file.repeat)
     }
 
     /// The script as a file; parsing it gives the same script to within a nanometre.
@@ -98,15 +98,15 @@ impl Script {
             repeat: self.repeats(),
             tool: ToolTable::of(&self.tool(), to_mm),
             hand: self.hand().into(),
-            way: self.ways().iter().map(way_table).collect(),
+            way: self.waypoints().iter().map(way_table).collect(),
         };
         toml::to_string(&file).expect("a valid script has nothing that TOML can not say")
     }
 }
 
-fn way_table(way: &WayPoint) -> WayTable {
+fn way_table(way: &Waypoint) -> WaypointTable {
     let q = way.orientation.quaternion();
-    WayTable {
+    WaypointTable {
         t_s: way.t_s,
         at_mm: way.position.map(to_mm).into(),
         button: way.button,
@@ -161,7 +161,7 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
 
-    use super::super::{Ease, Hand, Script, ScriptError, Tool, ToolKind, WayPoint};
+    use super::super::{Ease, Hand, Script, ScriptError, Tool, ToolKind, Waypoint};
 
     /// The example at the head of the module, as the reader sees it.
     fn example() -> String {
@@ -184,9 +184,12 @@ mod tests {
             Hand::default(),
             "the example shows the defaults"
         );
-        assert_eq!(script.ways().len(), 2);
-        assert_eq!(script.ways()[1].position, Vector3::new(0.0, 0.0, 0.045));
-        assert!(script.ways()[1].button && !script.ways()[0].button);
+        assert_eq!(script.waypoints().len(), 2);
+        assert_eq!(
+            script.waypoints()[1].position,
+            Vector3::new(0.0, 0.0, 0.045)
+        );
+        assert!(script.waypoints()[1].button && !script.waypoints()[0].button);
     }
 
     #[test]
@@ -266,11 +269,11 @@ mod tests {
             seed in 0u64..1 << 62,
         ) {
             let mut t_s = 0.0;
-            let ways: Vec<_> = steps
+            let waypoints: Vec<_> = steps
                 .iter()
                 .map(|&((dt, x, y), (button, linear, turn))| {
                     t_s += dt;
-                    WayPoint {
+                    Waypoint {
                         t_s,
                         position: Vector3::new(x, y, 0.1),
                         orientation: UnitQuaternion::new(Vector3::new(turn, 0.1, 0.0)),
@@ -288,7 +291,7 @@ mod tests {
                 _ => Tool { kind: ToolKind::Forceps, width_m, ..Tool::blade(0.002, length_m) },
             };
             let hand = Hand { tremor_m: 0.000_3, seed, ..Hand::default() };
-            let script = Script::new(tool, hand, ways, false).unwrap();
+            let script = Script::new(tool, hand, waypoints, false).unwrap();
             let text = script.to_toml();
             let again = Script::from_toml(&text).unwrap();
             let sides = |t: Tool| [t.radius_m, t.length_m, t.width_m];
@@ -297,7 +300,7 @@ mod tests {
                 prop_assert!((a - b).abs() < 1e-12);
             }
             prop_assert_eq!(again.hand().seed, seed);
-            for (a, b) in script.ways().iter().zip(again.ways()) {
+            for (a, b) in script.waypoints().iter().zip(again.waypoints()) {
                 prop_assert!((a.position - b.position).norm() < 1e-9);
                 prop_assert!(a.orientation.angle_to(&b.orientation) < 1e-9);
                 prop_assert_eq!((a.t_s, a.button, a.ease), (b.t_s, b.button, b.ease));

@@ -52,7 +52,7 @@ pub use tool::{Tool, ToolKind};
 
 /// Maximum number of way points in a script: one per millisecond for 100 s. The limit bounds memory, because a
 /// script is read whole.
-pub const WAYS_MAX: usize = 100_000;
+pub const WAYPOINTS_MAX: usize = 100_000;
 
 /// Maximum size of a script file, bytes. A larger file is rejected before parsing.
 pub const SCRIPT_BYTES_MAX: u64 = 16 << 20;
@@ -109,7 +109,7 @@ pub enum Ease {
 
 /// One way point.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WayPoint {
+pub struct Waypoint {
     /// Time, s.
     pub t_s: f64,
     /// Position of the tip, m.
@@ -122,7 +122,7 @@ pub struct WayPoint {
     pub ease: Ease,
 }
 
-impl WayPoint {
+impl Waypoint {
     /// A way point at `t_s` seconds and `position` metres, reached rest to rest, not turned, no
     /// button held.
     pub fn new(t_s: f64, position: Vector3<f64>) -> Self {
@@ -203,13 +203,13 @@ pub enum ScriptError {
     },
     /// No way point at all.
     #[error("the script has no [[way]]; write at least one")]
-    NoWay,
+    NoWaypoint,
     /// More way points than the bound.
-    #[error("the script has {0} way points; {WAYS_MAX} are the most")]
-    TooManyWays(usize),
+    #[error("the script has {0} way points; {WAYPOINTS_MAX} are the most")]
+    TooManyWaypoints(usize),
     /// An invalid way point.
     #[error("way point {number} (at {t_s} s): {rule}")]
-    Way {
+    Waypoint {
         /// Which, the first being 1.
         number: usize,
         /// Its time.
@@ -233,7 +233,7 @@ pub enum ScriptError {
 pub struct Script {
     tool: Tool,
     hand: Hand,
-    ways: Vec<WayPoint>,
+    waypoints: Vec<Waypoint>,
     repeat: bool,
 }
 
@@ -242,16 +242,16 @@ impl Script {
     pub fn new(
         tool: Tool,
         hand: Hand,
-        ways: Vec<WayPoint>,
+        waypoints: Vec<Waypoint>,
         repeat: bool,
     ) -> Result<Self, ScriptError> {
         tool.check()?;
         check_hand(&hand)?;
-        check_ways(&ways, repeat)?;
+        check_waypoints(&waypoints, repeat)?;
         Ok(Self {
             tool,
             hand,
-            ways,
+            waypoints,
             repeat,
         })
     }
@@ -262,7 +262,7 @@ impl Script {
         Self::new(
             tool,
             Hand::default(),
-            vec![WayPoint::new(0.0, position)],
+            vec![Waypoint::new(0.0, position)],
             false,
         )
     }
@@ -294,8 +294,8 @@ impl Script {
     }
 
     /// The way points, in the order of time.
-    pub fn ways(&self) -> &[WayPoint] {
-        &self.ways
+    pub fn waypoints(&self) -> &[Waypoint] {
+        &self.waypoints
     }
 
     /// Whether the script begins again after its last way point.
@@ -305,33 +305,36 @@ impl Script {
 
     /// The middle of the box around all way points, m.
     pub fn middle(&self) -> Vector3<f64> {
-        let first = self.ways[0].position;
-        let around = self.ways.iter().fold((first, first), |(low, high), way| {
-            (low.inf(&way.position), high.sup(&way.position))
-        });
+        let first = self.waypoints[0].position;
+        let around = self
+            .waypoints
+            .iter()
+            .fold((first, first), |(low, high), way| {
+                (low.inf(&way.position), high.sup(&way.position))
+            });
         (around.0 + around.1) * 0.5
     }
 
     /// The same script in the frame of a device with this placement.
     pub fn seen_from(&self, placement: &Placement) -> Result<Self, ScriptError> {
-        let moved = |way: &WayPoint| {
+        let moved = |way: &Waypoint| {
             let pose = placement.to_device(&Pose {
                 position: way.position,
                 orientation: way.orientation,
             });
-            WayPoint {
+            Waypoint {
                 position: pose.position,
                 orientation: pose.orientation,
                 ..*way
             }
         };
-        let ways = self.ways.iter().map(moved).collect();
-        Self::new(self.tool, self.hand, ways, self.repeat)
+        let waypoints = self.waypoints.iter().map(moved).collect();
+        Self::new(self.tool, self.hand, waypoints, self.repeat)
     }
 
     /// The time of the last way point, s. A repeated script continues after it.
     pub fn end_s(&self) -> f64 {
-        self.ways[self.ways.len() - 1].t_s
+        self.waypoints[self.waypoints.len() - 1].t_s
     }
 }
 
@@ -379,17 +382,17 @@ fn check_hand(hand: &Hand) -> Result<(), ScriptError> {
     Ok(())
 }
 
-fn check_ways(ways: &[WayPoint], repeat: bool) -> Result<(), ScriptError> {
-    let Some((first, last)) = ways.first().zip(ways.last()) else {
-        return Err(ScriptError::NoWay);
+fn check_waypoints(waypoints: &[Waypoint], repeat: bool) -> Result<(), ScriptError> {
+    let Some((first, last)) = waypoints.first().zip(waypoints.last()) else {
+        return Err(ScriptError::NoWaypoint);
     };
-    if ways.len() > WAYS_MAX {
-        return Err(ScriptError::TooManyWays(ways.len()));
+    if waypoints.len() > WAYPOINTS_MAX {
+        return Err(ScriptError::TooManyWaypoints(waypoints.len()));
     }
     let mut before = f64::NEG_INFINITY;
-    for (i, way) in ways.iter().enumerate() {
+    for (i, way) in waypoints.iter().enumerate() {
         let refuse = |rule| {
-            Err(ScriptError::Way {
+            Err(ScriptError::Waypoint {
                 number: i + 1,
                 t_s: way.t_s,
                 rule,
@@ -410,9 +413,9 @@ fn check_ways(ways: &[WayPoint], repeat: bool) -> Result<(), ScriptError> {
         before = way.t_s;
     }
     let gap = (last.position - first.position).norm();
-    if repeat && ways.len() < 2 {
+    if repeat && waypoints.len() < 2 {
         let rule = "repeat = true needs at least two way points";
-        return Err(ScriptError::Way {
+        return Err(ScriptError::Waypoint {
             number: 1,
             t_s: first.t_s,
             rule,
@@ -428,15 +431,15 @@ fn check_ways(ways: &[WayPoint], repeat: bool) -> Result<(), ScriptError> {
 mod tests {
     use nalgebra::Vector3;
 
-    use super::{Hand, Script, ScriptError, Tool, WayPoint};
+    use super::{Hand, Script, ScriptError, Tool, Waypoint};
 
     fn probe() -> Tool {
         Tool::probe(0.004)
     }
 
-    fn ways(at: &[(f64, f64)]) -> Vec<WayPoint> {
+    fn waypoints(at: &[(f64, f64)]) -> Vec<Waypoint> {
         at.iter()
-            .map(|&(t, x)| WayPoint::new(t, Vector3::new(x, 0.0, 0.0)))
+            .map(|&(t, x)| Waypoint::new(t, Vector3::new(x, 0.0, 0.0)))
             .collect()
     }
 
@@ -445,30 +448,34 @@ mod tests {
         let e = Script::new(
             probe(),
             Hand::default(),
-            ways(&[(0.0, 0.0), (1.0, 0.0), (1.0, 0.1)]),
+            waypoints(&[(0.0, 0.0), (1.0, 0.0), (1.0, 0.1)]),
             false,
         )
         .unwrap_err();
-        assert!(matches!(e, ScriptError::Way { number: 3, .. }));
+        assert!(matches!(e, ScriptError::Waypoint { number: 3, .. }));
         assert!(e.to_string().starts_with("way point 3 (at 1 s)"), "{e}");
     }
 
     #[test]
     fn positions_beyond_ten_metres_or_not_finite_are_rejected() {
         for x in [10.1, f64::NAN, f64::INFINITY] {
-            let e = Script::new(probe(), Hand::default(), ways(&[(0.0, x)]), false).unwrap_err();
-            assert!(matches!(e, ScriptError::Way { number: 1, .. }), "{x}: {e}");
+            let e =
+                Script::new(probe(), Hand::default(), waypoints(&[(0.0, x)]), false).unwrap_err();
+            assert!(
+                matches!(e, ScriptError::Waypoint { number: 1, .. }),
+                "{x}: {e}"
+            );
         }
         assert!(matches!(
             Script::new(probe(), Hand::default(), vec![], false),
-            Err(ScriptError::NoWay)
+            Err(ScriptError::NoWaypoint)
         ));
     }
 
     #[test]
     fn a_repeated_script_ends_where_it_begins() {
-        let open = ways(&[(0.0, 0.0), (1.0, 0.1)]);
-        let shut = ways(&[(0.0, 0.0), (1.0, 0.1), (2.0, 0.0)]);
+        let open = waypoints(&[(0.0, 0.0), (1.0, 0.1)]);
+        let shut = waypoints(&[(0.0, 0.0), (1.0, 0.1), (2.0, 0.0)]);
         assert!(matches!(
             Script::new(probe(), Hand::default(), open, true),
             Err(ScriptError::RepeatGap { .. })
@@ -496,7 +503,7 @@ mod tests {
                 ..Hand::default()
             },
         ] {
-            let e = Script::new(probe(), hand, ways(&[(0.0, 0.0)]), false).unwrap_err();
+            let e = Script::new(probe(), hand, waypoints(&[(0.0, 0.0)]), false).unwrap_err();
             assert!(e.to_string().starts_with("hand."), "{e}");
         }
     }

@@ -2,7 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::{Ease, Script, WayPoint};
+use super::{Ease, Script, Waypoint};
 use crate::Pose;
 
 /// Pose and velocity of a script at one moment.
@@ -19,7 +19,7 @@ pub struct ScriptPose {
 }
 
 impl ScriptPose {
-    fn resting(way: &WayPoint) -> Self {
+    fn resting(way: &Waypoint) -> Self {
         Self {
             pose: Pose {
                 position: way.position,
@@ -36,15 +36,15 @@ impl Script {
     /// The script at `t_s` seconds. Any time is valid, also a negative one; NaN counts as before the first way
     /// point. Does not allocate.
     pub fn pose(&self, t_s: f64) -> ScriptPose {
-        let ways = self.ways();
-        let (first, last) = (&ways[0], &ways[ways.len() - 1]);
+        let waypoints = self.waypoints();
+        let (first, last) = (&waypoints[0], &waypoints[waypoints.len() - 1]);
         let t_s = if self.repeats() && t_s > last.t_s {
             first.t_s + (t_s - first.t_s).rem_euclid(last.t_s - first.t_s)
         } else {
             t_s
         };
         // The first way point later than t_s; the segment before it is active.
-        let next = ways.partition_point(|way| way.t_s <= t_s);
+        let next = waypoints.partition_point(|way| way.t_s <= t_s);
         if next == 0 || t_s.is_nan() {
             // No button is held before the script begins.
             return ScriptPose {
@@ -52,15 +52,15 @@ impl Script {
                 ..ScriptPose::resting(first)
             };
         }
-        match ways.get(next) {
+        match waypoints.get(next) {
             None => ScriptPose::resting(last),
-            Some(to) => between(&ways[next - 1], to, t_s),
+            Some(to) => between(&waypoints[next - 1], to, t_s),
         }
     }
 }
 
 /// The motion between two way points at `t_s`.
-fn between(from: &WayPoint, to: &WayPoint, t_s: f64) -> ScriptPose {
+fn between(from: &Waypoint, to: &Waypoint, t_s: f64) -> ScriptPose {
     let duration = to.t_s - from.t_s;
     let u = (t_s - from.t_s) / duration;
     let (s, ds_du) = match to.ease {
@@ -90,29 +90,29 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
 
-    use super::super::{Hand, Script, Tool, WayPoint};
+    use super::super::{Hand, Script, Tool, Waypoint};
 
     fn script(repeat: bool) -> Script {
         let tool = Tool::probe(0.004);
         let turn = UnitQuaternion::new(Vector3::new(0.0, 0.3, 1.0));
-        let ways = vec![
-            WayPoint::new(0.5, Vector3::new(0.0, 0.0, 0.08)),
-            WayPoint::new(1.5, Vector3::new(0.01, 0.0, 0.04))
+        let waypoints = vec![
+            Waypoint::new(0.5, Vector3::new(0.0, 0.0, 0.08)),
+            Waypoint::new(1.5, Vector3::new(0.01, 0.0, 0.04))
                 .pressed()
                 .turned(turn),
-            WayPoint::new(2.0, Vector3::new(0.05, -0.02, 0.04)).linear(),
-            WayPoint::new(4.0, Vector3::new(0.0, 0.0, 0.08)),
+            Waypoint::new(2.0, Vector3::new(0.05, -0.02, 0.04)).linear(),
+            Waypoint::new(4.0, Vector3::new(0.0, 0.0, 0.08)),
         ];
-        Script::new(tool, Hand::default(), ways, repeat).unwrap()
+        Script::new(tool, Hand::default(), waypoints, repeat).unwrap()
     }
 
     #[test]
     fn before_the_first_and_after_the_last_it_stays() {
         let s = script(false);
         for t in [f64::NEG_INFINITY, -5.0, 0.5, f64::NAN] {
-            assert_eq!(s.pose(t).pose.position, s.ways()[0].position, "{t}");
+            assert_eq!(s.pose(t).pose.position, s.waypoints()[0].position, "{t}");
         }
-        assert_eq!(s.pose(1e5).pose.position, s.ways()[3].position);
+        assert_eq!(s.pose(1e5).pose.position, s.waypoints()[3].position);
         assert_eq!(s.pose(1e5).velocity, Vector3::zeros());
     }
 
@@ -138,7 +138,7 @@ mod tests {
         assert!(s.pose(0.5 + 1e-6).velocity.norm() < 1e-9);
         assert!(s.pose(1.5 - 1e-6).velocity.norm() < 1e-9);
         // Peak speed is 15/8 of the mean.
-        let mean = (s.ways()[1].position - s.ways()[0].position).norm();
+        let mean = (s.waypoints()[1].position - s.waypoints()[0].position).norm();
         assert!((s.pose(1.0).velocity.norm() / mean - 15.0 / 8.0).abs() < 1e-12);
     }
 
@@ -148,7 +148,7 @@ mod tests {
             let s = script(false);
             let h = 1e-6;
             // Not across a corner, where a linear piece begins or ends.
-            prop_assume!(s.ways().iter().all(|w| (w.t_s - t).abs() > 2.0 * h));
+            prop_assume!(s.waypoints().iter().all(|w| (w.t_s - t).abs() > 2.0 * h));
             let (a, b) = (s.pose(t - h), s.pose(t + h));
             let numeric = (b.pose.position - a.pose.position) / (2.0 * h);
             prop_assert!((numeric - s.pose(t).velocity).norm() < 1e-6);

@@ -19,7 +19,7 @@ pub const REPORT_OLD: Span = Span::from_millis(2000);
 
 /// The server's decision about a participant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
+pub enum DemotionDecision {
     /// The participant becomes a spectator: the delay estimate `wanted` is above the `cap`.
     Demote {
         /// The participant's delay estimate.
@@ -62,7 +62,7 @@ impl Demotion {
     }
 
     /// Takes a report and returns the decision, if any.
-    pub fn handle_wanted(&mut self, wanted: Span, now: ServerTime) -> Option<Verdict> {
+    pub fn handle_wanted(&mut self, wanted: Span, now: ServerTime) -> Option<DemotionDecision> {
         if self.last.is_some_and(|last| now - last > REPORT_OLD) {
             self.since = None;
         }
@@ -91,9 +91,9 @@ impl Demotion {
         if self.demoted {
             self.demotions += 1;
             let cap = self.cap;
-            Some(Verdict::Demote { wanted, cap })
+            Some(DemotionDecision::Demote { wanted, cap })
         } else {
-            Some(Verdict::Restore)
+            Some(DemotionDecision::Restore)
         }
     }
 
@@ -114,7 +114,12 @@ mod tests {
     use proptest::prelude::*;
 
     /// Reports four times a second.
-    fn feed(demotion: &mut Demotion, from_s: i64, until_s: i64, ms: i64) -> Vec<(i64, Verdict)> {
+    fn feed(
+        demotion: &mut Demotion,
+        from_s: i64,
+        until_s: i64,
+        ms: i64,
+    ) -> Vec<(i64, DemotionDecision)> {
         let quarters = from_s * 4..until_s * 4;
         let verdicts = quarters.filter_map(|i| {
             let now = ServerTime::from_micros(i * 250_000);
@@ -131,10 +136,13 @@ mod tests {
         assert_eq!(feed(&mut demotion, 2, 20, 390), []);
         let verdicts = feed(&mut demotion, 20, 30, 600);
         let (wanted, cap) = (Span::from_millis(600), CAP_DEFAULT);
-        assert_eq!(verdicts, [(23, Verdict::Demote { wanted, cap })]);
+        assert_eq!(verdicts, [(23, DemotionDecision::Demote { wanted, cap })]);
         assert_eq!(feed(&mut demotion, 30, 60, 390), [], "not yet well enough");
         assert_eq!(feed(&mut demotion, 60, 69, 300), []);
-        assert_eq!(feed(&mut demotion, 69, 75, 300), [(70, Verdict::Restore)]);
+        assert_eq!(
+            feed(&mut demotion, 69, 75, 300),
+            [(70, DemotionDecision::Restore)]
+        );
         assert!(!demotion.is_demoted());
         assert_eq!(demotion.demotions(), 1);
     }
@@ -145,13 +153,13 @@ mod tests {
             wanted in prop::collection::vec(0_i64..1000, 1..400),
         ) {
             let mut demotion = Demotion::default();
-            let mut last: Option<(ServerTime, Verdict)> = None;
+            let mut last: Option<(ServerTime, DemotionDecision)> = None;
             for (i, ms) in wanted.into_iter().enumerate() {
                 let now = ServerTime::from_micros(i as i64 * 250_000);
                 if let Some(verdict) = demotion.handle_wanted(Span::from_millis(ms), now) {
                     if let Some((at, before)) = last {
                         prop_assert!(now - at >= DEMOTE_AFTER);
-                        prop_assert_ne!(before == Verdict::Restore, verdict == Verdict::Restore);
+                        prop_assert_ne!(before == DemotionDecision::Restore, verdict == DemotionDecision::Restore);
                     }
                     last = Some((now, verdict));
                 }

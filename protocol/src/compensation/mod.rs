@@ -32,7 +32,9 @@ mod schedule;
 use crate::Span;
 
 pub use bridged::BRIDGE;
-pub use demotion::{DEMOTE_AFTER, Demotion, REPORT_OLD, RESTORE_AFTER, RESTORE_SHARE, Verdict};
+pub use demotion::{
+    DEMOTE_AFTER, Demotion, DemotionDecision, REPORT_OLD, RESTORE_AFTER, RESTORE_SHARE,
+};
 pub use estimator::{DelayEstimator, MotionArrival};
 pub use group::{CHANGE_MIN, CHANGE_PART, CHANGE_PERIOD, DelayChange, GroupDelay, RAISE_PERIOD};
 pub use prediction::{PREDICTION_MAX, Prediction};

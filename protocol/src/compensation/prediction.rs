@@ -27,7 +27,7 @@ pub const PREDICTION_MAX: Span = Span::from_millis(200);
 const DEVIATIONS: f64 = 2.0;
 
 /// How far ahead the server predicts for one client. Calling order: [`handle_report`](Self::handle_report) with reports
-/// and [`ahead_at`](Self::ahead_at) with times that do not go back.
+/// and [`prediction_horizon_at`](Self::prediction_horizon_at) with times that do not go back.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Prediction {
     target_us: f64,
@@ -53,7 +53,7 @@ impl Prediction {
 
     /// The prediction horizon beyond a tool's newest sample at a moment: slewed, so that displayed
     /// motion neither reverses nor accelerates, by the rates of the other reading.
-    pub fn ahead_at(&mut self, now: ServerTime) -> Span {
+    pub fn prediction_horizon_at(&mut self, now: ServerTime) -> Span {
         let Some((at, before_us)) = self.known else {
             return Span::ZERO;
         };
@@ -82,9 +82,9 @@ mod tests {
     fn no_prediction_before_the_first_report_which_counts_at_once() {
         let mut prediction = Prediction::new();
         let now = ServerTime::from_micros(7_000_000);
-        assert_eq!(prediction.ahead_at(now), Span::ZERO);
+        assert_eq!(prediction.prediction_horizon_at(now), Span::ZERO);
         prediction.handle_report(report(60_000), now);
-        assert_eq!(prediction.ahead_at(now), Span::from_millis(60));
+        assert_eq!(prediction.prediction_horizon_at(now), Span::from_millis(60));
     }
 
     proptest! {
@@ -98,7 +98,7 @@ mod tests {
             for (mean_us, lasts_ms) in reports {
                 prediction.handle_report(report(mean_us), now);
                 for _ in 0..lasts_ms / 4 {
-                    let ahead = prediction.ahead_at(now);
+                    let ahead = prediction.prediction_horizon_at(now);
                     prop_assert!(ahead >= Span::ZERO && ahead <= PREDICTION_MAX);
                     let predicted = now + ahead;
                     if let Some((at, before)) = last {

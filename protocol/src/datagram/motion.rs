@@ -26,7 +26,7 @@
 use super::header::nearest_time;
 use super::late::code_lateness;
 use super::memory::Memory;
-use super::quantise::{self, COMPONENT_MAX, POSITION_MAX, Point, TIME_STEP_US, Turn};
+use super::quantise::{self, COMPONENT_MAX, POSITION_MAX, Point, QuantisedRotation, TIME_STEP_US};
 use super::range_coder::{Chance, Coder, Number};
 use super::{Moment, TRACK_MAX_SAMPLES, TRACKS_MAX};
 use crate::lateness::Lateness;
@@ -215,9 +215,9 @@ fn code_point(
     };
     out.position = m.difference(c, true, class, p.position, near.position)?;
     out.turn = if c.bit(&mut m.other_part, p.turn.omitted != near.turn.omitted)? {
-        code_turn(c, p.turn)?
+        code_rotation(c, p.turn)?
     } else {
-        Turn {
+        QuantisedRotation {
             omitted: near.turn.omitted,
             parts: m.difference(c, false, class, p.turn.parts, near.turn.parts)?,
         }
@@ -268,13 +268,16 @@ impl Model {
 }
 
 /// A rotation without prediction.
-fn code_turn(c: &mut impl Coder, turn: Turn) -> Result<Turn, ProtocolError> {
+fn code_rotation(
+    c: &mut impl Coder,
+    turn: QuantisedRotation,
+) -> Result<QuantisedRotation, ProtocolError> {
     let omitted = c.raw(2, u32::from(turn.omitted))? as u8;
     let mut parts = [0; 3];
     for (out, part) in parts.iter_mut().zip(turn.parts) {
         *out = c.raw(14, (part + COMPONENT_MAX) as u32)? as i32 - COMPONENT_MAX;
     }
-    Ok(Turn { omitted, parts })
+    Ok(QuantisedRotation { omitted, parts })
 }
 
 /// A point without prediction; its time is known.
@@ -286,7 +289,7 @@ fn code_whole(c: &mut impl Coder, p: Point) -> Result<Point, ProtocolError> {
     for (out, x) in out.position.iter_mut().zip(p.position) {
         *out = c.raw(22, (x + POSITION_MAX) as u32)? as i32 - POSITION_MAX;
     }
-    out.turn = code_turn(c, p.turn)?;
+    out.turn = code_rotation(c, p.turn)?;
     out.buttons = c.raw(8, u32::from(p.buttons))? as u8;
     if c.raw(1, u32::from(p.force.is_some()))? == 1 {
         let mut force = p.force.unwrap_or_default();

@@ -37,7 +37,7 @@ pub(super) const POSITION_MAX: i32 = 1_600_000;
 
 /// A rotation in integers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Turn {
+pub(super) struct QuantisedRotation {
     /// The index of the omitted component, 0 to 3.
     pub(super) omitted: u8,
     /// The other components in order, in steps.
@@ -52,7 +52,7 @@ pub(super) struct Point {
     /// Position in steps.
     pub(super) position: [i32; 3],
     /// Orientation.
-    pub(super) turn: Turn,
+    pub(super) turn: QuantisedRotation,
     /// Buttons.
     pub(super) buttons: u8,
     /// Force in steps.
@@ -61,7 +61,10 @@ pub(super) struct Point {
 
 impl Point {
     /// Rounds a sample; `near` is the rotation that its difference refers to.
-    pub(super) fn of(sample: &ToolSample, near: Option<Turn>) -> Result<Self, ProtocolError> {
+    pub(super) fn of(
+        sample: &ToolSample,
+        near: Option<QuantisedRotation>,
+    ) -> Result<Self, ProtocolError> {
         let mut position = [0; 3];
         for (q, x) in position.iter_mut().zip(sample.pose.position_m) {
             *q = coordinate(x)?;
@@ -69,7 +72,7 @@ impl Point {
         Ok(Self {
             time: time(sample.time),
             position,
-            turn: Turn::of(sample.pose.orientation, near)?,
+            turn: QuantisedRotation::of(sample.pose.orientation, near)?,
             buttons: sample.buttons,
             force: sample
                 .force_n
@@ -151,7 +154,7 @@ pub(super) fn saturating_i16(value: f64, step: f64) -> i16 {
     (value / step).round() as i16
 }
 
-impl Turn {
+impl QuantisedRotation {
     /// Rounds a unit quaternion (x, y, z, w); an error where its length is not 1.
     fn of(q: [f64; 4], near: Option<Self>) -> Result<Self, ProtocolError> {
         let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();

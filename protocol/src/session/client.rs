@@ -290,7 +290,7 @@ impl ClientSession {
     }
 
     /// The same for a datagram that may have waited for `stall`, because this machine stalled
-    /// ([`StallWatch`](crate::lateness::StallWatch)).
+    /// ([`StallDetector`](crate::lateness::StallDetector)).
     pub fn handle_waiting_datagram(&mut self, bytes: &[u8], stall: Span, now: ClientTime) {
         self.follow_clock(now);
         let Some(datagram) = self.link.accept(bytes) else {

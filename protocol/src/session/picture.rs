@@ -85,7 +85,7 @@ pub struct PictureStats {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-enum Fate {
+enum DeliveryState {
     /// Never sent, or lost: the client displays `known`.
     #[default]
     Unsent,
@@ -103,7 +103,7 @@ struct SentNode {
     known: [i16; 3],
     /// Whether any displacement was acknowledged.
     is_known: bool,
-    fate: Fate,
+    fate: DeliveryState,
 }
 
 /// A datagram in flight.
@@ -166,8 +166,8 @@ impl PictureStream {
             *usual = *usual + Span::from_micros((took - *usual).as_micros() / part);
             for node in flight.nodes {
                 let sent = &mut self.sent[node as usize];
-                if sent.fate == Fate::InFlight(flight.sequence) {
-                    sent.fate = Fate::Known;
+                if sent.fate == DeliveryState::InFlight(flight.sequence) {
+                    sent.fate = DeliveryState::Known;
                     sent.known = sent.last;
                     sent.is_known = true;
                 }
@@ -234,8 +234,8 @@ impl PictureStream {
             };
             for node in flight.nodes {
                 let sent = &mut self.sent[node as usize];
-                if sent.fate == Fate::InFlight(flight.sequence) {
-                    sent.fate = Fate::Unsent;
+                if sent.fate == DeliveryState::InFlight(flight.sequence) {
+                    sent.fate = DeliveryState::Unsent;
                     self.stats.resent += 1;
                 }
             }
@@ -249,7 +249,7 @@ impl PictureStream {
         for (node, displacement) in &piece.nodes {
             let sent = &mut self.sent[*node as usize];
             sent.last = steps(*displacement);
-            sent.fate = Fate::InFlight(sequence);
+            sent.fate = DeliveryState::InFlight(sequence);
         }
         self.stats.sent += piece.nodes.len() as u64;
         self.flights.push_back(Flight {
@@ -308,8 +308,8 @@ impl SentNode {
     /// The error of a node relative to the displacement sent, in steps; `None` below the threshold.
     fn off(&self, displacement: [f32; 3]) -> Option<f32> {
         let (at, is_sent) = match self.fate {
-            Fate::Unsent => (self.known, false),
-            Fate::InFlight(_) | Fate::Known => (self.last, true),
+            DeliveryState::Unsent => (self.known, false),
+            DeliveryState::InFlight(_) | DeliveryState::Known => (self.last, true),
         };
         let step = f32::from(PICTURE_STEP_UM) * 1e-6;
         let parts = (0..3).map(|i| displacement[i] / step - f32::from(at[i]));

@@ -9,7 +9,7 @@ use quinn::{ConnectionError, Endpoint, TokioRuntime};
 use crate::TransportError;
 use crate::config::{self, ALPN_SESSION};
 use crate::connection::Connection;
-use crate::error::in_words;
+use crate::error::describe_connection_error;
 use crate::identity::SERVER_NAME;
 
 /// Attempts to reach a silent address; each takes about eight seconds.
@@ -24,7 +24,7 @@ pub async fn connect(link: &JoinLink) -> Result<Connection, TransportError> {
     let address = quic.remote_address();
     let streams = quic.open_bi().await.map_err(|e| TransportError::Lost {
         address,
-        detail: in_words(&e),
+        detail: describe_connection_error(&e),
     })?;
     Ok(Connection::new(quic, streams, Some(endpoint)))
 }
@@ -110,7 +110,7 @@ async fn try_once(
             ConnectionError::ConnectionClosed(close) if close.error_code == alert => {
                 TransportError::NotPalpate { address }
             }
-            other => lost(in_words(&other)),
+            other => lost(describe_connection_error(&other)),
         }
     })
 }

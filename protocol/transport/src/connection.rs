@@ -7,7 +7,7 @@ use quinn::{RecvStream, SendStream, VarInt};
 
 use crate::TransportError;
 use crate::client::socket_towards;
-use crate::error::{GOODBYE, in_words};
+use crate::error::{GOODBYE, describe_connection_error};
 use crate::rate_cap::RateCap;
 
 /// The longest reason that is sent when closing, bytes.
@@ -104,7 +104,7 @@ impl Connection {
             .read_datagram()
             .await
             .map(Vec::from)
-            .map_err(|e| in_words(&e))
+            .map_err(|e| describe_connection_error(&e))
     }
 
     /// Moves the connection to another socket of this host, after a change of network. The other side

@@ -109,7 +109,7 @@ pub(crate) fn is_goodbye(error: &quinn::ConnectionError) -> bool {
 }
 
 /// The end of a connection, described for people.
-pub(crate) fn in_words(error: &quinn::ConnectionError) -> String {
+pub(crate) fn describe_connection_error(error: &quinn::ConnectionError) -> String {
     use quinn::ConnectionError as E;
     match error {
         E::TimedOut => "the other side was silent for too long".to_owned(),

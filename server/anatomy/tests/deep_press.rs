@@ -71,7 +71,7 @@ impl Press {
         let report = self
             .solver
             .step(&self.topology, &mut self.shape, &[tool], budget);
-        assert!(!report.fell_back, "blown up at {} mm", depth / MM);
+        assert!(!report.rolled_back, "blown up at {} mm", depth / MM);
         report.clone()
     }
 

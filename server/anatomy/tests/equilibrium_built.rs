@@ -27,7 +27,7 @@ fn deep_press_into_built_tissue_is_stable_and_leaves_no_dent() {
         let mut press = |depth_mm: f64| {
             let tool = Tool::ball(1, at + direction * (RADIUS_M - depth_mm * 1e-3), RADIUS_M);
             let report = solver.step(&topology, &mut shape, &[tool], Budget::new(4, 1e-2));
-            assert!(!report.fell_back, "at {depth_mm} mm along {direction:?}");
+            assert!(!report.rolled_back, "at {depth_mm} mm along {direction:?}");
             let moved = shape.displacement.iter().map(Vec3::norm);
             (
                 report.reactions[0].force.dot(&direction),

@@ -27,14 +27,14 @@ const BYTES_MAX: u64 = 64 * 1024;
 
 /// Location of the host's identity, unless it is in the user's state folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum IdentityPlace {
+pub(crate) enum IdentitySource {
     /// The one in this folder.
     Folder(PathBuf),
     /// A temporary identity that is not stored.
     New,
 }
 
-impl FromStr for IdentityPlace {
+impl FromStr for IdentitySource {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -66,12 +66,12 @@ struct Kept {
 impl Identity {
     /// Loads an identity, or creates a missing one. `new_links` replaces the secrets of the links.
     pub(super) fn obtain(
-        place: Option<&IdentityPlace>,
+        place: Option<&IdentitySource>,
         new_links: bool,
     ) -> Result<Self, ServerError> {
         let folder = match place {
-            Some(IdentityPlace::New) => return Self::generate(),
-            Some(IdentityPlace::Folder(folder)) => folder.clone(),
+            Some(IdentitySource::New) => return Self::generate(),
+            Some(IdentitySource::Folder(folder)) => folder.clone(),
             None => state_folder()
                 .ok_or_else(|| {
                     ServerError::CommandLine(
@@ -202,8 +202,8 @@ mod tests {
         (identity.server.certificate_hash().0, grants)
     }
 
-    fn at(folder: &Path) -> IdentityPlace {
-        IdentityPlace::Folder(folder.to_owned())
+    fn at(folder: &Path) -> IdentitySource {
+        IdentitySource::Folder(folder.to_owned())
     }
 
     #[test]
@@ -222,7 +222,7 @@ mod tests {
             links(&Identity::obtain(Some(&place), false).unwrap()),
             renewed
         );
-        let throwaway = links(&Identity::obtain(Some(&IdentityPlace::New), false).unwrap());
+        let throwaway = links(&Identity::obtain(Some(&IdentitySource::New), false).unwrap());
         assert_ne!(throwaway.0, first.0);
     }
 

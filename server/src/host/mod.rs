@@ -25,7 +25,7 @@ pub use serve::solver_limit;
 pub use summary::{HostSummary, Listening, ListeningModel, Refused, TickTimes};
 
 use crate::{ServerError, load};
-use identity::{Identity, IdentityPlace};
+use identity::{Identity, IdentitySource};
 
 /// Hosts a session until it is interrupted or its duration is over.
 pub(crate) fn host(options: &HostOptions) -> Result<(), ServerError> {

@@ -6,7 +6,7 @@ use clap::Args;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use palpate_room::SEATS_MAX;
 
-use super::IdentityPlace;
+use super::IdentitySource;
 use crate::ServerError;
 
 /// Initial delay of adaptive compensation, enough for a local network. D grows by 250 ms per second and shrinks by
@@ -31,7 +31,7 @@ pub(crate) struct HostOptions {
     /// Folder of the host's certificate, its key and the secrets of the links, or new for a temporary identity
     /// [default: `$XDG_STATE_HOME/palpate/host` or `~/.local/state/palpate/host`]
     #[arg(long, value_name = "DIR|new")]
-    pub(super) identity: Option<IdentityPlace>,
+    pub(super) identity: Option<IdentitySource>,
     /// Make new join links and invalidate the old ones
     #[arg(long)]
     pub(super) new_links: bool,

@@ -57,7 +57,7 @@ mod topology;
 
 pub use block::block;
 pub use cell::Cell;
-pub use contact::{Clearance, Form, Place, Reaction, Tool};
+pub use contact::{Clearance, ContactPatch, Form, Reaction, Tool};
 pub use cut::{BladePoint, CutError, CutOutcome, CutStroke, Moved, RestPoint, cut, to_rest};
 pub use equilibrium::{
     Budget, Follower, Mechanism, Sag, Solver, SolverState, StepReport, Successor,

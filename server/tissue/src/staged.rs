@@ -43,7 +43,7 @@ fn advice(source: &io::Error) -> &'static str {
 
 /// Method of writing to a path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Way {
+enum PublishMethod {
     /// Replaces the existing file.
     Move,
     /// Keeps the existing device or pipe and writes into it.
@@ -60,7 +60,7 @@ pub struct Staged {
     path: PathBuf,
     /// The path with links resolved.
     place: PathBuf,
-    way: Way,
+    way: PublishMethod,
     in_place: bool,
 }
 
@@ -95,8 +95,8 @@ impl Staged {
         };
         let (place, way) = place_of(path).map_err(error)?;
         let base = match way {
-            Way::Move => place.clone(),
-            Way::Into => std::env::temp_dir().join(place.file_name().unwrap_or_default()),
+            PublishMethod::Move => place.clone(),
+            PublishMethod::Into => std::env::temp_dir().join(place.file_name().unwrap_or_default()),
         };
         let (beside, file) = create_beside(&base).map_err(error)?;
         let staged = Self {
@@ -106,7 +106,7 @@ impl Staged {
             way,
             in_place: false,
         };
-        if way == Way::Move
+        if way == PublishMethod::Move
             && let Ok(before) = std::fs::metadata(&staged.place)
         {
             // The attributes of another owner's file cannot be kept.
@@ -123,11 +123,11 @@ impl Staged {
     /// Renames the file to its path; a reader finds the old file or the new one, never a part.
     pub fn put_in_place(mut self) -> Result<(), WriteError> {
         match self.way {
-            Way::Move => {
+            PublishMethod::Move => {
                 std::fs::rename(&self.beside, &self.place).map_err(|source| self.error(source))?;
                 self.in_place = true;
             }
-            Way::Into => self.pour().map_err(|source| self.error(source))?,
+            PublishMethod::Into => self.pour().map_err(|source| self.error(source))?,
         }
         Ok(())
     }
@@ -165,7 +165,7 @@ pub fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), WriteErr
 }
 
 /// The path with links resolved, and the method of writing to it.
-fn place_of(path: &Path) -> io::Result<(PathBuf, Way)> {
+fn place_of(path: &Path) -> io::Result<(PathBuf, PublishMethod)> {
     let refused = |why: &str| Err(io::Error::new(ErrorKind::InvalidInput, why));
     let metadata = match std::fs::metadata(path) {
         Ok(metadata) => metadata,
@@ -173,7 +173,7 @@ fn place_of(path: &Path) -> io::Result<(PathBuf, Way)> {
             if path.symlink_metadata().is_ok() {
                 return refused("it is a dangling symbolic link");
             }
-            return Ok((path.to_owned(), Way::Move));
+            return Ok((path.to_owned(), PublishMethod::Move));
         }
         Err(error) => return Err(error),
     };
@@ -184,14 +184,14 @@ fn place_of(path: &Path) -> io::Result<(PathBuf, Way)> {
         return if is_socket(metadata.file_type()) {
             refused("it is a socket")
         } else {
-            Ok((path.to_owned(), Way::Into))
+            Ok((path.to_owned(), PublishMethod::Into))
         };
     }
     if names_open_file(path) {
         // The position of the open file would be lost, and later output would overwrite the content.
         return refused("it names a file that is open already");
     }
-    Ok((path.canonicalize()?, Way::Move))
+    Ok((path.canonicalize()?, PublishMethod::Move))
 }
 
 #[cfg(unix)]

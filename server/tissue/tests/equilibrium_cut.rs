@@ -58,7 +58,7 @@ fn iterations(topology: &Topology, tolerance: f64, step: f64, steps: usize) -> u
         );
         let budget = Budget::new(400, tolerance);
         let report = solver.step(topology, &mut shape, &[tool], budget);
-        assert!(report.residual <= tolerance && !report.fell_back);
+        assert!(report.residual <= tolerance && !report.rolled_back);
         sum += report.iterations;
     }
     sum
@@ -108,7 +108,7 @@ fn solver_updated_by_a_cut_agrees_with_a_new_one() {
     let mut followed = 0.0;
     for _ in 0..6 {
         let report = solver.step(&topology, &mut shape, &[tool], Budget::new(100, 1e-6));
-        assert!(!report.fell_back);
+        assert!(!report.rolled_back);
         followed = report.reactions[0].force.z;
     }
     assert!(solver.residual_over_all(&shape) < 1e-4);

@@ -208,7 +208,7 @@ fn detached_piece_has_no_weight_and_stays() {
     shape.follow(&topology, &outcome);
     solver.follow(&topology, &outcome.touched);
     let report = solver.step(&topology, &mut shape, &[], Budget::new(50, 1e-3));
-    assert!(!report.fell_back);
+    assert!(!report.rolled_back);
     // The base carries only the tissue still connected to it.
     let mut left = weight(&topology) * (17.7 / 32.0);
     left.z -= carried(&topology, &solver, &shape).z;

@@ -51,7 +51,7 @@ impl Bench {
     /// F / δ of the active contact point, in N/m.
     fn secant(&mut self, x: f64, depth: f64) -> f64 {
         let reaction = self.press(x, depth);
-        reaction.places[0].pressed / reaction.places[0].indentation_m
+        reaction.contact_patches[0].pressed / reaction.contact_patches[0].indentation_m
     }
 }
 
@@ -92,7 +92,7 @@ fn sag_is_not_counted_as_indentation() {
     let sag = -heavy.solver.sag_of(middle_of_the_top(&heavy.topology)).z;
     assert!(sag > 0.3 * MM, "{sag} m");
     let sagged = heavy.press(0.0, 3.0 * MM + sag);
-    let [a, b] = [&weightless, &sagged].map(|r| r.places[0].indentation_m);
+    let [a, b] = [&weightless, &sagged].map(|r| r.contact_patches[0].indentation_m);
     assert!((b / a - 1.0).abs() < 0.05, "{a} {b} m");
 }
 

@@ -57,7 +57,7 @@ fn uneven_and_reversing_motion_is_followed() {
         let to = Vec3::new(0.3e-3, 0.0, -1e-3) * depth;
         lead(&topology, &mut solver, &mut shape, &nodes, to);
         let report = solver.step(&topology, &mut shape, &[], Budget::new(100, 1e-3));
-        assert!(!report.fell_back && report.residual <= 1e-3);
+        assert!(!report.rolled_back && report.residual <= 1e-3);
         let off = error(&shape, &converged(&topology, &nodes, to));
         assert!(off < 0.01, "{off} at {depth} mm");
     }
@@ -100,7 +100,7 @@ fn stiff_stretch_limit_converges_below_and_above_the_limit() {
         let to = Vec3::z() * (stretch * 10.0 * SPACING);
         lead(&topology, &mut solver, &mut shape, &top, to);
         let report = solver.step(&topology, &mut shape, &[], Budget::new(300, 1e-4));
-        assert!(!report.fell_back && report.residual <= 1e-4, "{report:?}");
+        assert!(!report.rolled_back && report.residual <= 1e-4, "{report:?}");
     }
 }
 

@@ -49,7 +49,7 @@ fn held(
             }
         }
         let report = solver.step(topology, &mut shape, &[], Budget::new(300, TOLERANCE));
-        assert!(!report.fell_back, "blown up at a strain of {now}");
+        assert!(!report.rolled_back, "blown up at a strain of {now}");
         assert!(report.residual <= TOLERANCE, "residual {}", report.residual);
     }
     (solver, shape, nodes)

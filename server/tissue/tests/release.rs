@@ -131,7 +131,7 @@ fn node_with_invalid_position_is_reset_without_delay() {
             ..Budget::new(2, 0.03)
         };
         let report = solver.step(&topology, shape, &[tool(k)], budget);
-        (report.fell_back, report.reactions[0].force.z)
+        (report.rolled_back, report.reactions[0].force.z)
     };
     for k in 0..10 {
         assert!(!step(k, &mut shape, None).0);
@@ -143,7 +143,7 @@ fn node_with_invalid_position_is_reset_without_delay() {
     for k in 11..30 {
         step(k, &mut shape, None);
     }
-    let (fell_back, force) = step(30, &mut shape, None);
+    let (rolled_back, force) = step(30, &mut shape, None);
     let whole = press(
         &topology,
         tool,
@@ -153,7 +153,7 @@ fn node_with_invalid_position_is_reset_without_delay() {
         0.03,
     );
     let error = force / whole.last().unwrap() - 1.0;
-    assert!(!fell_back && error.abs() < 0.1, "{error}");
+    assert!(!rolled_back && error.abs() < 0.1, "{error}");
     assert!(shape.displacement.iter().all(|u| u.norm().is_finite()));
 }
 

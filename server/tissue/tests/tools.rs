@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use nalgebra::UnitQuaternion;
 use palpate_tissue::{
-    BladePoint, Budget, CutStroke, Form, Material, Place, Reaction, Shape, Solver, Tool, Topology,
-    Vec3, block, cut,
+    BladePoint, Budget, ContactPatch, CutStroke, Form, Material, Reaction, Shape, Solver, Tool,
+    Topology, Vec3, block, cut,
 };
 use proptest::prelude::*;
 
@@ -124,14 +124,22 @@ fn contact_points_of_a_line_sum_to_its_force_and_torque() {
     let mut bench = Bench::new(CELLS);
     let tool = needle(above(radius), 6.0 * MM, 20.0 * MM, radius);
     let r = bench.lower(tool, 5.0 * MM);
-    assert!(r.places.len() > 2, "{:?}", r.places);
-    assert!(r.places.windows(2).all(|p| p[0].number < p[1].number));
-    let force: Vec3 = r.places.iter().map(|p| p.force).sum();
+    assert!(r.contact_patches.len() > 2, "{:?}", r.contact_patches);
+    assert!(
+        r.contact_patches
+            .windows(2)
+            .all(|p| p[0].number < p[1].number)
+    );
+    let force: Vec3 = r.contact_patches.iter().map(|p| p.force).sum();
     assert!((force - r.force).norm() < 1e-12);
-    let torque: Vec3 = r.places.iter().map(|p| p.lever.cross(&p.force)).sum();
+    let torque: Vec3 = r
+        .contact_patches
+        .iter()
+        .map(|p| p.lever.cross(&p.force))
+        .sum();
     let lever = 26.0 * MM;
     assert!((torque - r.torque).norm() < 0.02 * lever * r.force.norm());
-    for p in &r.places {
+    for p in &r.contact_patches {
         assert!(p.pressed >= p.force.norm() - 1e-12 && p.pressed < 1.05 * p.force.norm());
         assert!(
             (p.friction_static - 0.4).abs() < 1e-12 && (p.friction_dynamic - 0.3).abs() < 1e-12
@@ -161,7 +169,7 @@ fn plate_on_a_column_is_uniaxial_compression() {
     let strain = 0.02;
     let r = bench.lower(plate, strain * height);
     let expected = YOUNG * strain * side * side;
-    assert!(r.places.len() > 8);
+    assert!(r.contact_patches.len() > 8);
     assert!(
         (r.force.z / expected - 1.0).abs() < 0.05,
         "{} of {expected}",
@@ -365,7 +373,7 @@ fn ball_force_decreases_from_face_to_edge_to_corner() {
         let r = last.expect("four steps");
         let aside = r.force - out * r.force.dot(&out);
         assert!(aside.norm() < 0.25 * r.force.norm(), "{along}: {}", r.force);
-        assert!(r.places.len() == 1 && r.torque.norm() < radius * r.force.norm());
+        assert!(r.contact_patches.len() == 1 && r.torque.norm() < radius * r.force.norm());
         r.force.dot(&out)
     };
     let [x, y, z] = [0, 1, 2].map(|i| CELLS[i] as f64 * D);
@@ -430,15 +438,21 @@ fn blade_in_a_wound_has_the_friction_of_each_layer() {
         last = Some(bench.press(tool(0.5 * MM * f64::from(k))));
     }
     let r = last.expect("steps");
-    let pressed: f64 = r.places.iter().map(|p| p.pressed).sum();
+    let pressed: f64 = r.contact_patches.iter().map(|p| p.pressed).sum();
     // The contact points at the tip lie mostly in the lower layer, the others in the upper one.
-    let (deep, high): (Vec<&Place>, Vec<&Place>) =
-        r.places.iter().partition(|p| p.friction_static > 0.3);
-    assert!(!deep.is_empty() && !high.is_empty(), "{:#?}", r.places);
+    let (deep, high): (Vec<&ContactPatch>, Vec<&ContactPatch>) = r
+        .contact_patches
+        .iter()
+        .partition(|p| p.friction_static > 0.3);
+    assert!(
+        !deep.is_empty() && !high.is_empty(),
+        "{:#?}",
+        r.contact_patches
+    );
     for p in &high {
         assert!((p.friction_static - 0.2).abs() < 1e-9 && (p.friction_dynamic - 0.1).abs() < 1e-9);
     }
-    for p in &r.places {
+    for p in &r.contact_patches {
         // Both sides press across the wound, so the net force is zero.
         assert!(
             p.pressed > 3.0 * p.force.xy().norm() && p.normal.y.abs() > 0.8,

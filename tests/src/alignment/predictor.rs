@@ -42,7 +42,7 @@ impl Predictor {
             tool.insert(*sample);
         }
         let newest = tool.newest()?;
-        let time = newest + self.ahead[1 - site].ahead_at(now);
+        let time = newest + self.ahead[1 - site].prediction_horizon_at(now);
         let sample = ToolSample {
             time,
             pose: tool.uncorrected_pose(time)?,

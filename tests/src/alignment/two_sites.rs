@@ -35,7 +35,7 @@ const DRIFT_MAX: f64 = 50e-6;
 
 /// Content of a packet.
 #[derive(Debug)]
-enum Parcel {
+enum Packet {
     SamplesUp(Vec<ToolSample>),
     SamplesDown(Vec<ToolSample>),
     /// Predicted tool sample, and the time of the real sample it is based on.
@@ -46,7 +46,7 @@ enum Parcel {
     ChangeDown(u32, ServerTime),
 }
 
-impl Payload for Parcel {
+impl Payload for Packet {
     fn bytes(&self) -> usize {
         PACKET_BYTES
     }
@@ -95,7 +95,7 @@ impl Moment {
 /// A simulated session of two sites and a server.
 pub struct TwoSites {
     sites: [Site; 2],
-    links: Links<Parcel>,
+    links: Links<Packet>,
     group: GroupDelay,
     /// The server's delay estimate of each site's samples.
     measured: [DelayEstimator; 2],
@@ -207,20 +207,20 @@ impl TwoSites {
             self.probe_due_us[k] = now + period;
             let probe = site.clock.probe(site.own_clock.at(now));
             self.links
-                .send_datagram(k, Direction::Up, now, Parcel::ProbeUp(probe));
+                .send_datagram(k, Direction::Up, now, Packet::ProbeUp(probe));
         }
         let site = &mut self.sites[k];
         let sampled = site.sample(now).is_some();
         if sampled && site.batch.len() == BATCH {
             let batch = std::mem::take(&mut site.batch);
             self.links
-                .send_datagram(k, Direction::Up, now, Parcel::SamplesUp(batch));
+                .send_datagram(k, Direction::Up, now, Packet::SamplesUp(batch));
         }
         let site = &mut self.sites[k];
         if site.estimator.take_urgent() || now >= self.report_due_us[k] {
             self.report_due_us[k] = now + REPORT_US;
             if let Some(report) = site.estimator.report() {
-                let parcel = Parcel::ReportUp(report);
+                let parcel = Packet::ReportUp(report);
                 self.links.send_segment(k, Direction::Up, now, parcel);
             }
         }
@@ -236,13 +236,13 @@ impl TwoSites {
         if let Some(change) = self.group.poll_change(at, lead) {
             (self.schedule).handle_change(change.delay_us, change.effective_at);
             for k in 0..2 {
-                let parcel = Parcel::ChangeDown(change.delay_us, change.effective_at);
+                let parcel = Packet::ChangeDown(change.delay_us, change.effective_at);
                 self.links.send_segment(k, Direction::Down, now, parcel);
             }
         }
     }
 
-    fn receive(&mut self, delivery: Delivery<Parcel>) {
+    fn receive(&mut self, delivery: Delivery<Packet>) {
         match delivery.arrived {
             Arrived::Datagram(parcel) => self.handle(delivery.seat, delivery.at_us, parcel),
             Arrived::Stream(parcels) => {
@@ -254,10 +254,10 @@ impl TwoSites {
     }
 
     /// Handles a parcel at the server from site `k`, or at site `k`.
-    fn handle(&mut self, k: usize, at: i64, parcel: Parcel) {
+    fn handle(&mut self, k: usize, at: i64, parcel: Packet) {
         let server_now = ServerTime::from_micros(at);
         match parcel {
-            Parcel::SamplesUp(samples) => {
+            Packet::SamplesUp(samples) => {
                 // As in the product's session, samples from a clock that was set are ignored.
                 if samples.iter().any(|s| s.time > server_now + FUTURE_MAX) {
                     return;
@@ -267,23 +267,23 @@ impl TwoSites {
                     self.measured[k].handle_arrival(arrival);
                 }
                 let parcel = match &mut self.predictor {
-                    None => Some(Parcel::SamplesDown(samples)),
+                    None => Some(Packet::SamplesDown(samples)),
                     Some(predictor) => predictor
                         .handle_samples(k, &samples, server_now)
-                        .map(|(sample, newest)| Parcel::PredictedDown(sample, newest)),
+                        .map(|(sample, newest)| Packet::PredictedDown(sample, newest)),
                 };
                 if let Some(parcel) = parcel {
                     self.links.send_datagram(1 - k, Direction::Down, at, parcel);
                 }
             }
-            Parcel::PredictedDown(sample, newest) => {
+            Packet::PredictedDown(sample, newest) => {
                 self.sites[k].handle_predicted(sample, newest, at);
             }
-            Parcel::SamplesDown(samples) => {
+            Packet::SamplesDown(samples) => {
                 self.arrived += samples.len() as u64;
                 self.sites[k].handle_samples(&samples, at);
             }
-            Parcel::ProbeUp(probe) => {
+            Packet::ProbeUp(probe) => {
                 let reply = Reply {
                     id: probe.id,
                     client_sent: probe.client_sent,
@@ -291,20 +291,20 @@ impl TwoSites {
                     server_sent: server_now,
                 };
                 self.links
-                    .send_datagram(k, Direction::Down, at, Parcel::ReplyDown(reply));
+                    .send_datagram(k, Direction::Down, at, Packet::ReplyDown(reply));
             }
-            Parcel::ReplyDown(reply) => {
+            Packet::ReplyDown(reply) => {
                 let here = self.sites[k].own_clock.at(at);
                 self.sites[k].clock.handle_reply(reply, here);
             }
-            Parcel::ReportUp(report) => {
+            Packet::ReportUp(report) => {
                 if let Some(predictor) = &mut self.predictor {
                     predictor.handle_report(k, report, server_now);
                 }
                 self.group
                     .handle_report(ParticipantId(k as u16 + 1), report);
             }
-            Parcel::ChangeDown(delay_us, effective_at) => {
+            Packet::ChangeDown(delay_us, effective_at) => {
                 self.sites[k].handle_change(delay_us, effective_at, at);
             }
         }

@@ -282,8 +282,8 @@ pub struct Ablate {
     /// Switch off only this mechanism; may be repeated
     #[arg(long = "mechanism", value_name = "NAME", value_parser = mechanism)]
     mechanisms: Vec<Mechanism>,
-    /// Maximum iterations per step: a hand has 10, a view 1
-    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u8).range(1..=100))]
+    /// Maximum iterations per step: a hand has 4, a view 1
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=100))]
     iterations: u8,
 }
 

@@ -136,7 +136,7 @@ impl Bytes {
                 initial_delay_us: DELAY_US,
             },
             tick_hz: TICK_HZ,
-            onlookers: 0,
+            thin_spectator_count: 0,
             motion_only: false,
         };
         let simulated = session.run(|done| {

@@ -24,8 +24,8 @@ use palpate_protocol::{
     Role, ServerTime, Span, TopologyHash,
 };
 use palpate_site::{
-    CutNews, CutOrder, HAPTIC_PERIOD, Prefetch, Site, SiteError, VIEW_TOLERANCE, View, ViewNews,
-    hand_budget, tissue_stroke,
+    CutOrder, CutWorkerEvent, HAPTIC_PERIOD, Prefetch, Site, SiteError, VIEW_ITERATIONS,
+    VIEW_TOLERANCE, View, ViewUpdate, hand_budget, tissue_stroke,
 };
 use palpate_tissue::{Budget, Model, Topology, cut};
 use serde::Serialize;
@@ -49,7 +49,6 @@ const SLIDE: (f64, f64) = (3e-3, 0.4);
 const TREMOR: (f64, f64) = (0.05e-3, 9.0);
 /// Views per second, and the limits of a view.
 const VIEW_HZ: u32 = 30;
-const VIEW_ITERATIONS: usize = 2;
 const VIEW_WORK: Span = Span::from_millis(5);
 /// Length and depth of a cut, m, and its distance from the press.
 const CUT_LENGTH_M: f64 = 0.02;
@@ -337,7 +336,7 @@ fn welcome(topology: &Topology, delay: Span) -> Welcome {
 struct Worker {
     ahead: Prefetch,
     /// Result of the latest work item, and its completion time.
-    news: Option<CutNews>,
+    news: Option<CutWorkerEvent>,
     busy_until: ClientTime,
     worked: Span,
 }
@@ -353,7 +352,7 @@ impl Worker {
     }
 
     /// Works until `now`; returns the results completed by then.
-    fn work(&mut self, now: ClientTime) -> Result<Vec<CutNews>, String> {
+    fn work(&mut self, now: ClientTime) -> Result<Vec<CutWorkerEvent>, String> {
         let mut done = Vec::new();
         while self.busy_until <= now {
             done.extend(self.news.take());
@@ -376,7 +375,7 @@ impl Step {
     fn make(
         site: &mut Site,
         worker: &mut Worker,
-        news: Vec<CutNews>,
+        news: Vec<CutWorkerEvent>,
         pose: Pose,
         now: ClientTime,
     ) -> Result<Self, SiteError> {
@@ -409,8 +408,8 @@ impl Step {
 /// Solves the newest view if it is due; returns its duration in ms.
 fn show(site: &mut Site, view: &mut View, now: ClientTime) -> Option<f64> {
     let from = worked();
-    while let Some(news) = site.poll_view_news() {
-        if let ViewNews::Cut(cut) = news {
+    while let Some(news) = site.poll_view_update() {
+        if let ViewUpdate::Cut(cut) = news {
             view.take(*cut);
         }
     }

@@ -13,7 +13,7 @@ use clap::Args;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use palpate_device::backend::five_dof;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
-use palpate_device::script::{Hand, Tool, WayPoint};
+use palpate_device::script::{Hand, Tool, Waypoint};
 use palpate_device::{DeviceCaps, DeviceTime, HapticDevice, Pose, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 use palpate_protocol::ClientTime;
@@ -173,15 +173,15 @@ fn script() -> Result<Script, palpate_device::ScriptError> {
         tremor_m: 2e-4,
         ..Hand::default()
     };
-    let ways = [
+    let waypoints = [
         (0.0, [0.0, 0.0, 0.01]),
         (0.5, [0.0, 0.0, -0.02]),
         (1.5, [0.04, 0.0, -0.02]),
         (2.0, [0.0, 0.0, 0.01]),
     ];
-    let mut ways = ways.map(|(t, at)| WayPoint::new(t, Vector3::from(at)));
-    ways[2] = ways[2].turned(UnitQuaternion::new(Vector3::new(0.15, 0.0, 0.0)));
-    Script::new(tool, tremor, ways.into(), true)
+    let mut waypoints = waypoints.map(|(t, at)| Waypoint::new(t, Vector3::from(at)));
+    waypoints[2] = waypoints[2].turned(UnitQuaternion::new(Vector3::new(0.15, 0.0, 0.0)));
+    Script::new(tool, tremor, waypoints.into(), true)
 }
 
 /// Contact model of a line along the probe axis (y) on a half-space of 300 N/m below z = 0.

@@ -1,7 +1,7 @@
 //! Stick and slip of a ball and of a line tool (Lin 2007, figs 4.11 to 4.13).
 
 use nalgebra::UnitQuaternion;
-use palpate_device::script::WayPoint;
+use palpate_device::script::Waypoint;
 use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_tissue::{Material, Vec3, block};
 use serde_json::json;
@@ -72,9 +72,9 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         let end_s = PRESS_S + DRAG_M / SPEED_M_S;
         for (mu, friction, colour) in SURFACES {
             let path = vec![
-                WayPoint::new(0.0, above + Vec3::z() * 1e-3).turned(turn),
-                WayPoint::new(PRESS_S, down).turned(turn),
-                WayPoint::new(end_s, down + Vec3::x() * DRAG_M)
+                Waypoint::new(0.0, above + Vec3::z() * 1e-3).turned(turn),
+                Waypoint::new(PRESS_S, down).turned(turn),
+                Waypoint::new(end_s, down + Vec3::x() * DRAG_M)
                     .turned(turn)
                     .linear(),
             ];

@@ -57,6 +57,7 @@ impl Inputs {
     /// Loads the files of a recipe; built models go into `dir`.
     pub(super) fn load(recipe: &Recipe, dir: &Path) -> Result<Self, String> {
         let profile = recipe.profile.as_deref().map(Profile::parse);
+        let profile = profile.transpose().map_err(|e| e.to_string())?;
         let motion = recipe.motion.as_ref().map(|file| {
             let motion = Motion::load(Path::new(file)).map_err(|e| match e {
                 MotionError::Read { .. } | MotionError::TooLarge { .. } => e.to_string(),
@@ -64,13 +65,15 @@ impl Inputs {
             });
             motion.map(Arc::new)
         });
+        let motion = motion.transpose()?;
+        // Last: a build takes long.
         let model = recipe.model.as_ref().map(|name| {
             let built = TestModel::prepare(name, dir).map_err(|e| e.to_string());
             built.map(|built| built.model)
         });
         Ok(Self {
-            profile: profile.transpose().map_err(|e| e.to_string())?,
-            motion: motion.transpose()?,
+            profile,
+            motion,
             model: model.transpose()?,
             seed: recipe.seed,
             seeds: recipe.seeds,

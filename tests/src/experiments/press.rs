@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use palpate_device::script::WayPoint;
+use palpate_device::script::Waypoint;
 use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_tissue::Model;
 use serde_json::json;
@@ -34,7 +34,7 @@ fn ball(bench: &mut Bench<'_>, model: &Arc<Model>) -> Result<ScenarioResult, Str
     let top = location.middle + location.normal * RADIUS_M;
     let mut path = straight(top, location.normal, 1e-3, DEPTH_M, SPEED_M_S);
     let down = top - location.normal * DEPTH_M;
-    path.push(WayPoint::new(0.15 + DEPTH_M / SPEED_M_S, down));
+    path.push(Waypoint::new(0.15 + DEPTH_M / SPEED_M_S, down));
     let tool = ToolDescription::probe(RADIUS_M);
     bench.simulate("ball", &without_friction(model), tool, path)
 }
@@ -50,10 +50,10 @@ fn line(bench: &mut Bench<'_>, model: &Arc<Model>, slides: bool) -> Result<Scena
     let mut path = straight(top, location.normal, 2e-3, LINE_DEPTH_M, SPEED_M_S);
     let (name, model) = if slides {
         let end_s = dragged_from() + DRAG_M / DRAG_M_S;
-        path.push(WayPoint::new(end_s, down + location.u * DRAG_M).linear());
+        path.push(Waypoint::new(end_s, down + location.u * DRAG_M).linear());
         ("dragged line", Arc::clone(model))
     } else {
-        path.push(WayPoint::new(0.15 + LINE_DEPTH_M / SPEED_M_S, down));
+        path.push(Waypoint::new(0.15 + LINE_DEPTH_M / SPEED_M_S, down));
         ("line", without_friction(model))
     };
     let path = path.into_iter().map(|way| way.turned(turn)).collect();

@@ -71,8 +71,8 @@ pub struct Recipe {
     /// Network instead of the default: a name, or a file (.toml)
     #[arg(long)]
     pub profile: Option<String>,
-    /// Recorded hand motion (CSV) instead of the default
-    #[arg(long, value_name = "FILE.csv")]
+    /// Recorded hand motion, a table (.csv) or a recording (.json), instead of the default
+    #[arg(long, value_name = "FILE")]
     pub motion: Option<String>,
 }
 

@@ -38,8 +38,8 @@ pub struct AllArguments {
     /// Network for experiments with a network: a name, or a file (.toml)
     #[arg(long)]
     profile: Option<String>,
-    /// Recorded hand motion (CSV) for experiments with a hand motion
-    #[arg(long, value_name = "FILE.csv")]
+    /// Recorded hand motion, a table (.csv) or a recording (.json), for experiments with a hand motion
+    #[arg(long, value_name = "FILE")]
     motion: Option<String>,
     /// Print one line of JSON per experiment: name, ok, duration, and figures or error
     #[arg(long)]

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use palpate_device::script::WayPoint;
+use palpate_device::script::Waypoint;
 use palpate_protocol::tool::ToolDescription;
 use palpate_tissue::{Material, Model, Region, RegionId, Vec3, block};
 use serde_json::json;
@@ -40,14 +40,14 @@ fn tissue() -> Result<Arc<Model>, String> {
 }
 
 /// A vertical press with a rest and a release.
-fn press_at(share: f64) -> Vec<WayPoint> {
+fn press_at(share: f64) -> Vec<Waypoint> {
     let [x, y, z] = [0, 1, 2].map(|i| CELLS[i] as f64 * SPACING_M);
     let top = Vec3::new(share * x, 0.5 * y, z + RADIUS_M);
     let takes = DEPTH_M / SPEED_M_S;
     let mut path = straight(top, Vec3::z(), 1e-3, DEPTH_M, SPEED_M_S);
     path.extend([
-        WayPoint::new(0.15 + takes, top - Vec3::z() * DEPTH_M),
-        WayPoint::new(0.15 + 2.0 * takes, top + Vec3::z() * 1e-3).linear(),
+        Waypoint::new(0.15 + takes, top - Vec3::z() * DEPTH_M),
+        Waypoint::new(0.15 + 2.0 * takes, top + Vec3::z() * 1e-3).linear(),
     ]);
     path
 }

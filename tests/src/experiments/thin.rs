@@ -48,7 +48,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             model: &model,
             scripts: &scripts,
             motion_only: true,
-            onlookers: 1,
+            thin_spectator_count: 1,
             profile,
             seed: bench.seed(),
             compensation: CompensationSettings {

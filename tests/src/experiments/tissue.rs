@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use nalgebra::Vector3;
-use palpate_device::script::WayPoint;
+use palpate_device::script::Waypoint;
 use palpate_protocol::tool::ToolDescription;
 use palpate_tissue::{Model, Topology, Vec3};
 
@@ -39,12 +39,12 @@ pub(super) fn straight(
     gap_m: f64,
     depth_m: f64,
     speed_m_s: f64,
-) -> Vec<WayPoint> {
+) -> Vec<Waypoint> {
     let takes_s = depth_m / speed_m_s;
     vec![
-        WayPoint::new(0.0, top + normal * gap_m),
-        WayPoint::new(0.05, top),
-        WayPoint::new(0.05 + takes_s, top - normal * depth_m).linear(),
+        Waypoint::new(0.0, top + normal * gap_m),
+        Waypoint::new(0.05, top),
+        Waypoint::new(0.05 + takes_s, top - normal * depth_m).linear(),
     ]
 }
 
@@ -55,7 +55,7 @@ impl Bench<'_> {
         name: &str,
         model: &Arc<Model>,
         tool: ToolDescription,
-        path: Vec<WayPoint>,
+        path: Vec<Waypoint>,
     ) -> Result<ScenarioResult, String> {
         let scenario = Scenario::new(Arc::clone(model), tool, path)?;
         Ok(scenario.run(&mut |done| (self.progress)(name, done)))

@@ -1,6 +1,6 @@
 //! One target point reached along different paths (Lin 2007, fig 7.10).
 
-use palpate_device::script::WayPoint;
+use palpate_device::script::Waypoint;
 use palpate_protocol::tool::ToolDescription;
 use palpate_tissue::Vec3;
 use serde_json::json;
@@ -44,20 +44,20 @@ const CURVES: [(&str, Curve, &str); 4] = [
     ),
 ];
 
-fn along(location: &ToolLocation, curve: Curve) -> Vec<WayPoint> {
+fn along(location: &ToolLocation, curve: Curve) -> Vec<Waypoint> {
     let at = |s: f64| -> Vec3 {
         let [depth, aside] = curve(s);
         location.middle
             + location.normal * (RADIUS_M + 1e-3 - depth * (DEPTH_M + 1e-3))
             + location.u * (aside * ASIDE_M)
     };
-    let mut ways = vec![WayPoint::new(0.0, at(0.0))];
+    let mut waypoints = vec![Waypoint::new(0.0, at(0.0))];
     for k in 1..=POINTS {
         let s = k as f64 / POINTS as f64;
-        ways.push(WayPoint::new(0.05 + s * TAKES_S, at(s)).linear());
+        waypoints.push(Waypoint::new(0.05 + s * TAKES_S, at(s)).linear());
     }
-    ways.push(WayPoint::new(0.15 + TAKES_S, at(1.0)));
-    ways
+    waypoints.push(Waypoint::new(0.15 + TAKES_S, at(1.0)));
+    waypoints
 }
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {

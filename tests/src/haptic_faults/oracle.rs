@@ -170,7 +170,7 @@ impl Oracle {
             self.report(Law::FiniteWrites, observed.at_us, format!("{commanded:?}"));
         }
         for (what, n) in [
-            ("commanded for", commanded.force.norm()),
+            ("commanded", commanded.force.norm()),
             ("rendered", after.force.norm()),
         ] {
             if n > self.bounds.force_n * ROUNDING {

@@ -2,7 +2,7 @@
 
 use nalgebra::{Unit, Vector3};
 use palpate_client::realtime::ENABLE_EVERY;
-use palpate_device::script::{Hand, Tool, WayPoint};
+use palpate_device::script::{Hand, Tool, Waypoint};
 use palpate_device::{DeviceCaps, Script, ScriptError};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -173,7 +173,7 @@ fn script(tissue: &Tissue, length_us: i64, rng: &mut Pcg64) -> Result<Script, Sc
     let out = |rng: &mut Pcg64| rng.random_range(0.002..0.02);
     let mut t_s = rng.random_range(0.3..0.8);
     let mut at = tissue.above(0.02, 0.0, 0.0);
-    let mut ways = vec![WayPoint::new(0.0, at), WayPoint::new(t_s, at)];
+    let mut waypoints = vec![Waypoint::new(0.0, at), Waypoint::new(t_s, at)];
     while t_s < presses_again_s {
         let away = if rng.random_bool(0.15) {
             out(rng)
@@ -189,8 +189,8 @@ fn script(tissue: &Tissue, length_us: i64, rng: &mut Pcg64) -> Result<Script, Sc
         // Peak speed of a minimum-jerk motion is 15/8 of the mean.
         let shortest_s = 1.875 * (to - at).norm() / SPEED_MAX;
         t_s += rng.random_range(shortest_s.max(0.06)..shortest_s.max(0.06) + 0.5);
-        let way = WayPoint::new(t_s, to);
-        ways.push(if rng.random_bool(0.2) {
+        let way = Waypoint::new(t_s, to);
+        waypoints.push(if rng.random_bool(0.2) {
             way.linear()
         } else {
             way
@@ -198,7 +198,7 @@ fn script(tissue: &Tissue, length_us: i64, rng: &mut Pcg64) -> Result<Script, Sc
         at = to;
     }
     for (after_s, away) in [(0.25, 0.004), (0.5, -0.015)] {
-        ways.push(WayPoint::new(t_s + after_s, tissue.above(away, 0.0, 0.0)));
+        waypoints.push(Waypoint::new(t_s + after_s, tissue.above(away, 0.0, 0.0)));
     }
-    Script::new(tool, hand, ways, false)
+    Script::new(tool, hand, waypoints, false)
 }

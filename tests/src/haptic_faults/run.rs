@@ -4,7 +4,7 @@
 //! the solver read, may jump. While the process is stopped, the loop and the solver pause and the device
 //! continues.
 
-use palpate_client::realtime::{DeviceCounts, HandLoop, Pace, Turned, Wishes};
+use palpate_client::realtime::{DeviceCounts, HandLoop, LoopCommands, Pace, Turned};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::{DeviceTime, HapticDevice};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Events};
@@ -174,7 +174,7 @@ impl<'a> Simulation<'a> {
         let log = self.handle.state().log;
         if turned.frame.wrench != palpate_device::Wrench::ZERO {
             let detail = format!(
-                "{:.3} N {} ms after a stop was commanded for",
+                "{:.3} N {} ms after a stop was commanded",
                 turned.frame.wrench.force.norm(),
                 (self.at_us - end_us) / 1000
             );
@@ -227,7 +227,9 @@ impl<'a> Simulation<'a> {
         let woke = self.clock();
         let before = self.handle.state().log;
         let model = self.solver.newest;
-        let turned = self.hand.turn(woke, Wishes { link_lost, stop }, &model);
+        let turned = self
+            .hand
+            .turn(woke, LoopCommands { link_lost, stop }, &model);
         let log = self.handle.state().log;
         self.note(&turned, woke, link_lost || stop, &before, &log);
         self.check(&turned, &log);

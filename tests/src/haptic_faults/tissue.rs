@@ -96,7 +96,7 @@ pub fn damaged(model: &ContactModel, how: BadModel) -> ContactModel {
         BadModel::FromTheFuture => {
             bad.solved_at = ClientTime::from_micros(model.solved_at.as_micros() + 3_600_000_000);
         }
-        BadModel::WorkOfOthers => bad.others_j = 1e8,
+        BadModel::WorkOfOthers => bad.external_work_j = 1e8,
     }
     bad
 }

@@ -95,8 +95,8 @@ impl Seat {
             tool: ToolAt {
                 participant: ParticipantId(number),
                 description: tool_description(&script.tool()),
-                position: script.ways()[0].position,
-                orientation: script.ways()[0].orientation,
+                position: script.waypoints()[0].position,
+                orientation: script.waypoints()[0].orientation,
                 buttons: 0,
                 stale: false,
             },

@@ -19,4 +19,4 @@ mod tests;
 
 pub use crate::network::{Direction, Profile};
 pub use socket::{CLIENTS_MAX, QUEUE_MAX_PACKETS, RebindError, Relay};
-pub use stats::{RelayStats, WayStats};
+pub use stats::{DirectionStats, RelayStats};

@@ -9,7 +9,7 @@ use crate::network::PathCounts;
 /// Packet counts of all clients, of one direction or of both.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct WayStats {
+pub struct DirectionStats {
     /// Packets received.
     pub sent: u64,
     /// Packets dropped by the profile: by chance, in an outage, at a full queue.
@@ -26,7 +26,7 @@ pub struct WayStats {
     pub reordered: u64,
 }
 
-impl WayStats {
+impl DirectionStats {
     /// Adds the counts of one flow.
     pub(super) fn add(&mut self, counts: PathCounts, reordered: u64) {
         self.sent += counts.sent;
@@ -39,7 +39,7 @@ impl WayStats {
     }
 }
 
-impl fmt::Display for WayStats {
+impl fmt::Display for DirectionStats {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
@@ -66,7 +66,7 @@ pub struct RelayStats {
     pub clients: u64,
     /// Packet counts of both directions.
     #[serde(flatten)]
-    pub total: WayStats,
+    pub total: DirectionStats,
     /// Packets dropped because the relay was full; independent of the profile.
     pub overflowed: u64,
     /// Packets sent, duplicates included.
@@ -86,10 +86,10 @@ pub struct RelayStats {
     pub loss: f64,
     /// Packets to the server.
     #[serde(default)]
-    pub up: WayStats,
+    pub up: DirectionStats,
     /// Packets to clients.
     #[serde(default)]
-    pub down: WayStats,
+    pub down: DirectionStats,
 }
 
 /// Bucket width, microseconds.

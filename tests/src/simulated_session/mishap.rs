@@ -8,7 +8,7 @@ use crate::network::Profile;
 
 /// A fault of one trainee; seats count from 0.
 #[derive(Debug, Clone)]
-pub enum Mishap {
+pub enum SessionFault {
     /// The trainee has its own network.
     Network {
         /// Seat of the trainee.
@@ -38,7 +38,7 @@ pub enum Mishap {
     },
 }
 
-impl Mishap {
+impl SessionFault {
     /// Seat of the affected trainee.
     pub(super) fn seat(&self) -> usize {
         match self {

@@ -46,7 +46,7 @@ use thin_spectator::ThinSpectator;
 use trainee::Trainee;
 
 pub use links::{Part, Sent};
-pub use mishap::Mishap;
+pub use mishap::SessionFault;
 pub(crate) use site_clock::SiteClock;
 pub use thin_spectator::ThinSpectatorResult;
 
@@ -67,7 +67,7 @@ pub struct SimulatedSession<'a> {
     /// shape counts.
     pub motion_only: bool,
     /// Number of thin spectators.
-    pub onlookers: usize,
+    pub thin_spectator_count: usize,
     /// The network between the server and each participant.
     pub profile: &'a Profile,
     /// Seed of the networks and the clocks.
@@ -127,20 +127,20 @@ impl SimulatedSession<'_> {
     /// Like [`Self::run`], with injected faults.
     pub fn run_with(
         &self,
-        mishaps: &[Mishap],
+        session_faults: &[SessionFault],
         mut progress: impl FnMut(f64) -> bool,
     ) -> Result<SessionResult, String> {
         let trainee_count = self.scripts.len();
-        let seats = trainee_count + self.onlookers;
+        let seats = trainee_count + self.thin_spectator_count;
         let config = room_config(seats, self.tick_hz, self.compensation, trainee_count);
         let host = Host::new(Arc::clone(self.model), config, None);
-        let mut simulation = Simulation::new(host, &self.profiles(mishaps), self.seed);
+        let mut simulation = Simulation::new(host, &self.profiles(session_faults), self.seed);
         let mut trainees = Vec::new();
         for (seat, script) in self.scripts.iter().enumerate() {
             let clock = SiteClock::of(self.seed, seat);
             let mut trainee = Trainee::new(seat, Arc::clone(self.model), script, clock)?;
-            let of_seat = mishaps.iter().filter(|m| m.seat() == seat);
-            trainee.mishaps = of_seat.cloned().collect();
+            let of_seat = session_faults.iter().filter(|m| m.seat() == seat);
+            trainee.session_faults = of_seat.cloned().collect();
             trainee.solves = !self.motion_only;
             trainees.push(trainee);
         }
@@ -213,10 +213,10 @@ impl SimulatedSession<'_> {
     }
 
     /// The network profile of each seat.
-    fn profiles<'a>(&'a self, mishaps: &'a [Mishap]) -> Vec<&'a Profile> {
-        let mut profiles = vec![self.profile; self.scripts.len() + self.onlookers];
-        for mishap in mishaps {
-            if let Mishap::Network { seat, profile } = mishap {
+    fn profiles<'a>(&'a self, session_faults: &'a [SessionFault]) -> Vec<&'a Profile> {
+        let mut profiles = vec![self.profile; self.scripts.len() + self.thin_spectator_count];
+        for mishap in session_faults {
+            if let SessionFault::Network { seat, profile } = mishap {
                 profiles[*seat] = profile;
             }
         }

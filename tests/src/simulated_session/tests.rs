@@ -33,14 +33,14 @@ fn simulate_with(
     profile: &Profile,
     seed: u64,
     cap_ms: u32,
-    mishaps: &[Mishap],
+    session_faults: &[SessionFault],
 ) -> SessionResult {
     let scripts = [&scripts.holder, &scripts.cutter];
     let session = SimulatedSession {
         model,
         scripts: &scripts,
         motion_only: false,
-        onlookers: 1,
+        thin_spectator_count: 1,
         profile,
         seed,
         compensation: CompensationSettings {
@@ -51,7 +51,7 @@ fn simulate_with(
         },
         tick_hz: 60,
     };
-    session.run_with(mishaps, |_| true).unwrap()
+    session.run_with(session_faults, |_| true).unwrap()
 }
 
 #[test]
@@ -122,7 +122,7 @@ fn trainee_with_500_ms_delay_is_demoted_then_restored() {
             ..Link::default()
         },
     );
-    let slow = Mishap::Network {
+    let slow = SessionFault::Network {
         seat: 1,
         profile: Box::new(worsens),
     };
@@ -175,7 +175,7 @@ fn diverged_cut_causes_one_resync_and_second_divergence_is_an_error() {
     let model = model();
     let scripts = scripts_of(&model, 4.0);
     let profile = Profile::named("transatlantic").unwrap();
-    let elsewhere = |times| Mishap::OtherCut {
+    let elsewhere = |times| SessionFault::OtherCut {
         seat: 0,
         by_m: [0.007, 0.006, 0.0],
         times,
@@ -211,7 +211,7 @@ fn diverged_shape_causes_a_limited_number_of_resyncs() {
     let model = model();
     let scripts = scripts_of(&model, 12.0);
     let profile = Profile::named("metro").unwrap();
-    let spoilt = |until_s| Mishap::OtherTools {
+    let spoilt = |until_s| SessionFault::OtherTools {
         seat: 1,
         by_m: [0.012, 0.0, 0.0],
         from_s: 3.0,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use palpate_client::realtime::{HandLoop, Wishes, device_time, local_sample};
+use palpate_client::realtime::{HandLoop, LoopCommands, device_time, local_sample};
 use palpate_client::recording::{HapticPoint, Recording, ViewRecord};
 use palpate_client::tool_description;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
@@ -10,14 +10,16 @@ use palpate_device::{HapticDevice, Script};
 use palpate_haptics::{Chain, ChainConfig, ContactModel};
 use palpate_protocol::compensation::DelaySchedule;
 use palpate_protocol::handshake::{Hello, Subscription, Welcome};
-use palpate_protocol::session::{ClientEvent, ClientSession};
+use palpate_protocol::session::{ClientEvent, ClientSession, CloseReason};
 use palpate_protocol::{ClientTime, Role, Span};
-use palpate_site::{Action, Reconnector, Site, SiteCounters, VIEW_TOLERANCE, hand_budget};
+use palpate_site::{
+    Action, Reconnector, Site, SiteCounters, VIEW_ITERATIONS, VIEW_TOLERANCE, hand_budget,
+};
 use palpate_tissue::{Budget, Model};
 
 use super::endpoint::Endpoint;
 use super::host::{GRANT, Host};
-use super::mishap::Mishap;
+use super::mishap::SessionFault;
 use super::simulation::Participant;
 use super::site_clock::SiteClock;
 
@@ -26,9 +28,6 @@ const TICK: Span = Span::from_millis(1);
 
 /// Force loop ticks per contact model, as in the client.
 const HAPTIC_EVERY: u64 = 4;
-
-/// Solver iterations per view, as in the client.
-const VIEW_ITERATIONS: usize = 2;
 
 /// How long a trainee tries to reconnect, as in the client.
 const PATIENCE: Span = Span::from_millis(60_000);
@@ -49,7 +48,7 @@ pub(super) struct Trainee {
     /// The connection to open next.
     next_connection: Option<(Box<Hello>, DelaySchedule)>,
     site: Option<Site>,
-    pub(super) mishaps: Vec<Mishap>,
+    pub(super) session_faults: Vec<SessionFault>,
     first_view: Option<ClientTime>,
     ticks: u64,
     link_lost: bool,
@@ -93,7 +92,7 @@ impl Trainee {
             reconnector: None,
             next_connection: None,
             site: None,
-            mishaps: Vec::new(),
+            session_faults: Vec::new(),
             first_view: None,
             ticks: 0,
             link_lost: false,
@@ -106,12 +105,12 @@ impl Trainee {
     }
 
     fn feel(&mut self, now: ClientTime, at_us: i64) {
-        let wishes = Wishes {
+        let loop_commands = LoopCommands {
             // During a resync the replica is wrong, so its force is treated as lost.
             link_lost: self.link_lost || self.site.as_ref().is_some_and(Site::is_resyncing),
             stop: false,
         };
-        let turned = self.hand.turn(now, wishes, &self.contact);
+        let turned = self.hand.turn(now, loop_commands, &self.contact);
         let frame = turned.frame;
         if self.ticks.is_multiple_of(HAPTIC_EVERY) {
             let (pose, buttons) = (&frame.sample.pose, frame.sample.buttons);
@@ -175,7 +174,7 @@ impl Trainee {
             _ => {}
         }
         let since = self.first_view.map(|first| now - first);
-        for mishap in &mut self.mishaps {
+        for mishap in &mut self.session_faults {
             mishap.spoil(&mut event, since);
         }
         if let Some(site) = &mut self.site {
@@ -263,6 +262,9 @@ impl Participant for Trainee {
                     reconnector.handle_welcome(welcome, now);
                 }
                 (ClientEvent::Closed(reason), None) => self.endpoint.check(Err(reason)),
+                (ClientEvent::Closed(CloseReason::Refused(refusal)), Some(reconnector)) => {
+                    reconnector.handle_refusal(refusal.sentence);
+                }
                 (ClientEvent::Closed(reason), Some(reconnector)) if !reconnector.is_connected() => {
                     reconnector.handle_failure(reason.to_string(), now);
                 }

@@ -73,14 +73,14 @@ fn a_force_may_stop_the_hand_but_not_throw_it_back() {
 fn work_of_other_participants_may_push_a_resting_hand() {
     let mut p = passivity();
     let force = Vector3::new(0.0, 0.0, 2.0);
-    p.set_others_work(5.0);
+    p.set_external_work(5.0);
     assert!(
         limit(&p, force, &Vector3::zeros()).1,
         "they began before this hand came"
     );
-    p.set_others_work(5.01);
+    p.set_external_work(5.01);
     assert_eq!(limit(&p, force, &Vector3::zeros()), (force, false));
-    p.set_others_work(5.0);
+    p.set_external_work(5.0);
     assert!(
         limit(&p, force, &Vector3::zeros()).1,
         "they have taken it back"
@@ -183,9 +183,9 @@ fn a_hand_moved_by_other_participants_owes_nothing() {
     // alone.
     let at = |z: f64| Vector3::new(0.0, 0.0, z);
     let mut p = passivity();
-    p.set_others_work(0.0);
+    p.set_external_work(0.0);
     for i in 0..10 {
-        p.set_others_work(0.025 * f64::from(i + 1));
+        p.set_external_work(0.025 * f64::from(i + 1));
         p.record(given(at(5e-3 * f64::from(i)), at(4.0), true));
         p.observe(&seen(&at(5e-3 * f64::from(i + 1)), 4.0));
     }

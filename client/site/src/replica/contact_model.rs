@@ -2,7 +2,7 @@
 
 use palpate_haptics::{CONTACTS_MAX, ContactModel, MINDLIN, Touch};
 use palpate_protocol::ClientTime;
-use palpate_tissue::{Place, Reaction, Vec3};
+use palpate_tissue::{ContactPatch, Reaction, Vec3};
 
 /// Validity radius of the contact model, m: 0.5 m/s for 16 ms, four periods of the solver. A smaller radius fades the
 /// force in fast strokes; a larger one extrapolates a linear law too far.
@@ -40,8 +40,8 @@ pub(crate) fn contact_model(
     for (part, reaction) in parts.iter().enumerate() {
         let from_pivot = reaction.at - first.at;
         torque += reaction.torque + from_pivot.cross(&reaction.force);
-        let pressed: f64 = reaction.places.iter().map(|p| p.pressed).sum();
-        for place in &reaction.places {
+        let pressed: f64 = reaction.contact_patches.iter().map(|p| p.pressed).sum();
+        for place in &reaction.contact_patches {
             let at = usize::from(place.number) * of_part / CONTACTS_MAX;
             let slot = &mut model.touches[part * of_part + at];
             let mut new = touch(reaction, place, place.pressed / pressed, from_pivot);
@@ -61,7 +61,7 @@ pub(crate) fn contact_model(
 const TANGENT_OF_SECANT: f64 = 1.2;
 
 /// The contact point that carries `share` of the total pressure.
-fn touch(reaction: &Reaction, place: &Place, share: f64, from_pivot: Vec3) -> Touch {
+fn touch(reaction: &Reaction, place: &ContactPatch, share: f64, from_pivot: Vec3) -> Touch {
     let stiffness = reaction.stiffness * share;
     let along = place.normal.dot(&(stiffness * place.normal)).max(0.0);
     Touch {
@@ -112,8 +112,8 @@ mod tests {
 
     use super::*;
 
-    fn place(number: u8, lever: Vec3, force: Vec3) -> Place {
-        Place {
+    fn place(number: u8, lever: Vec3, force: Vec3) -> ContactPatch {
+        ContactPatch {
             number,
             lever,
             force,
@@ -125,12 +125,15 @@ mod tests {
         }
     }
 
-    fn reaction(places: Vec<Place>) -> Reaction {
-        let force: Vec3 = places.iter().map(|p| p.force).sum();
+    fn reaction(contact_patches: Vec<ContactPatch>) -> Reaction {
+        let force: Vec3 = contact_patches.iter().map(|p| p.force).sum();
         Reaction {
             tool: 2,
             force,
-            torque: places.iter().map(|p| p.lever.cross(&p.force)).sum::<Vec3>()
+            torque: contact_patches
+                .iter()
+                .map(|p| p.lever.cross(&p.force))
+                .sum::<Vec3>()
                 + Vec3::new(1e-3, 0.0, 2e-3),
             stiffness: Matrix3::from_diagonal_element(400.0),
             normal: force.normalize(),
@@ -140,7 +143,7 @@ mod tests {
             force_error: 0.0,
             at: Vec3::new(0.1, 0.2, 0.3),
             turn: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3),
-            places,
+            contact_patches,
         }
     }
 
@@ -155,8 +158,8 @@ mod tests {
         ) {
             let parts: Vec<Reaction> = parts
                 .into_iter()
-                .map(|places| {
-                    let numbered = places.into_iter().enumerate();
+                .map(|contact_patches| {
+                    let numbered = contact_patches.into_iter().enumerate();
                     reaction(numbered.map(|(n, (l, f))| place(n as u8, l.into(), f.into())).collect())
                 })
                 .collect();

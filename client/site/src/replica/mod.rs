@@ -30,9 +30,9 @@ use contact_model::{contact_model, unusable};
 use prefetch::{MadeCut, Retired, cut_checked};
 
 pub(crate) use prefetch::ReadyCut;
-pub use prefetch::{CutNews, CutOrder, Prefetch, ReplicaError};
+pub use prefetch::{CutOrder, CutWorkerEvent, Prefetch, ReplicaError};
 pub use thin_view::{ThinCounters, ThinView};
-pub use view::{Drift, VIEW_TOLERANCE, View, ViewCut};
+pub use view::{Drift, VIEW_ITERATIONS, VIEW_TOLERANCE, View, ViewCut};
 
 /// Period of the hand's solves, and the CPU time after which a solve starts no further iteration. Iterations within
 /// one solve are cheaper than a second solve, which gathers contacts and selects the active set again. The limit is
@@ -113,7 +113,7 @@ pub struct Replica {
     /// View of a thin subscriber; `haptic` and `view` are then `None`.
     thin: Option<ThinView>,
     tools: Vec<Tool>,
-    others: Others,
+    others: ExternalWork,
 }
 
 impl Replica {
@@ -127,7 +127,7 @@ impl Replica {
             thin: None,
             topology,
             tools: Vec::new(),
-            others: Others::default(),
+            others: ExternalWork::default(),
         }
     }
 
@@ -140,7 +140,7 @@ impl Replica {
             thin: Some(ThinView::new(&topology)),
             topology,
             tools: Vec::new(),
-            others: Others::default(),
+            others: ExternalWork::default(),
         }
     }
 
@@ -295,7 +295,7 @@ impl Replica {
             .solver
             .step(&self.topology, &mut side.shape, &self.tools, budget);
         let presses = own.is_some_and(|own| own.contacts().next().is_some());
-        if report.fell_back && presses {
+        if report.rolled_back && presses {
             return unusable(&free);
         }
         let is_own = |r: &&Reaction| me == Some(part_owner(r.tool));
@@ -304,7 +304,7 @@ impl Replica {
         let parts: Vec<&Reaction> = report.reactions.iter().filter(is_own).collect();
         let model = contact_model(now, version, &parts);
         ContactModel {
-            others_j: self.others.work_j,
+            external_work_j: self.others.work_j,
             ..model
         }
     }
@@ -312,14 +312,14 @@ impl Replica {
 
 /// Energy that other hands have put into the tissue.
 #[derive(Debug, Default)]
-struct Others {
+struct ExternalWork {
     /// Net energy, J.
     work_j: f64,
     /// Latest reaction on each of them.
     last: BTreeMap<u32, Reaction>,
 }
 
-impl Others {
+impl ExternalWork {
     /// Adds the work since the last solve: mean force times displacement, and mean torque times rotation.
     fn note<'a>(&mut self, reactions: impl Iterator<Item = &'a Reaction>) {
         let mut now = BTreeMap::new();

@@ -85,7 +85,7 @@ pub enum CutOrder {
 }
 
 /// Results of the cut worker.
-pub enum CutNews {
+pub enum CutWorkerEvent {
     /// The topology of the next cut is built; carries memory for the hand's solver state.
     Made(Box<SolverState>),
     /// The next cut is ready to be applied.
@@ -190,7 +190,7 @@ impl Prefetch {
 
     /// Does the next piece of work, tens of milliseconds at most. After an error the replica differs from the
     /// session.
-    pub fn work(&mut self) -> Result<Option<CutNews>, ReplicaError> {
+    pub fn work(&mut self) -> Result<Option<CutWorkerEvent>, ReplicaError> {
         let Some(preparation) = &mut self.preparation else {
             return self.make_next();
         };
@@ -205,12 +205,12 @@ impl Prefetch {
             let side = preparation.side.take();
             self.preparation = None;
             let made = self.made.pop_front();
-            return Ok(made.map(|made| CutNews::Ready(made.ready(side))));
+            return Ok(made.map(|made| CutWorkerEvent::Ready(made.ready(side))));
         }
         Ok(None)
     }
 
-    fn make_next(&mut self) -> Result<Option<CutNews>, ReplicaError> {
+    fn make_next(&mut self) -> Result<Option<CutWorkerEvent>, ReplicaError> {
         let Some(operation) = self.operations.pop_front() else {
             return Ok(None);
         };
@@ -218,10 +218,10 @@ impl Prefetch {
             return Ok(None);
         };
         if !self.has_hand {
-            return Ok(Some(CutNews::Ready(made.ready(None))));
+            return Ok(Some(CutWorkerEvent::Ready(made.ready(None))));
         }
         self.made.push_back(made);
-        Ok(Some(CutNews::Made(Box::new(self.follower.room()))))
+        Ok(Some(CutWorkerEvent::Made(Box::new(self.follower.room()))))
     }
 
     /// Makes the cut of an operation, in log order. `None` for other operations. An error if version or hash differ

@@ -210,9 +210,9 @@ fn energy_of_other_hands_is_tracked() {
         at: Vec3::new(0.0, 0.0, -depth),
         torque: Vec3::zeros(),
         turn: UnitQuaternion::identity(),
-        places: Vec::new(),
+        contact_patches: Vec::new(),
     };
-    let mut others = Others::default();
+    let mut others = ExternalWork::default();
     for mm in 0..=10 {
         others.note([reaction(1e-3 * f64::from(mm))].iter());
     }

@@ -22,6 +22,9 @@ const DRIFT_TOLERATED_M: f64 = 0.05e-3;
 /// be visible as a twitch.
 const BLEND: f64 = 0.3;
 
+/// Iterations per view: the same number as the server's.
+pub const VIEW_ITERATIONS: usize = 1;
+
 /// Residual at which the view's solve ends.
 pub const VIEW_TOLERANCE: f64 = 2e-2;
 

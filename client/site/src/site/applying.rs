@@ -11,7 +11,7 @@ use super::{Site, SiteError};
 impl Site {
     /// Applies all operations that are due.
     pub fn advance(&mut self, now: ClientTime) -> Result<(), SiteError> {
-        match self.moment(now).filter(|_| !self.is_resyncing()) {
+        match self.common_time(now).filter(|_| !self.is_resyncing()) {
             Some((s, _)) => {
                 self.prepare_cut(s);
                 let result = self.apply_until(Some(s), now);

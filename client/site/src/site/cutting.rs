@@ -6,8 +6,8 @@ use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::{ServerTime, Span};
 use palpate_tissue::SolverState;
 
-use super::{DEFERRED_MAX, Site, ViewNews};
-use crate::replica::{CutNews, CutOrder, HAPTIC_PERIOD, ReadyCut};
+use super::{DEFERRED_MAX, Site, ViewUpdate};
+use crate::replica::{CutOrder, CutWorkerEvent, HAPTIC_PERIOD, ReadyCut};
 
 /// Lead time before the due time at which the hand's side is prepared for a cut. On 57,000 nodes it takes half of
 /// that; an earlier copy would follow the tools for longer.
@@ -60,10 +60,10 @@ impl Site {
     }
 
     /// Processes a result of the [cut worker](crate::Prefetch).
-    pub fn handle_cut(&mut self, news: CutNews) {
+    pub fn handle_cut(&mut self, news: CutWorkerEvent) {
         match news {
-            CutNews::Made(room) => self.cuts.rooms.push_back(room),
-            CutNews::Ready(ready) => self.cuts.ready.push_back(ready),
+            CutWorkerEvent::Made(room) => self.cuts.rooms.push_back(room),
+            CutWorkerEvent::Ready(ready) => self.cuts.ready.push_back(ready),
         }
     }
 
@@ -112,7 +112,7 @@ impl Site {
             return false;
         };
         let (view, retired) = self.replica.exchange(ready);
-        self.view_news.push_back(ViewNews::Cut(view));
+        self.view_updates.push_back(ViewUpdate::Cut(view));
         self.cuts.orders.push_back(CutOrder::Retire(retired));
         self.cuts.stage = Stage::Waits;
         true

@@ -27,9 +27,9 @@ impl Site {
 /// The newest grid index at or before `s`.
 pub fn grid_index(s: ServerTime, tick_hz: i64) -> i64 {
     let scaled = i128::from(s.as_micros()) * i128::from(tick_hz);
-    // The choice of k gives grid_moment(k) <= s despite rounding down.
+    // The choice of k gives grid_time(k) <= s despite rounding down.
     let k = scaled.div_euclid(1_000_000) as i64;
-    if grid_moment(k + 1, tick_hz) <= s {
+    if grid_time(k + 1, tick_hz) <= s {
         k + 1
     } else {
         k
@@ -37,7 +37,7 @@ pub fn grid_index(s: ServerTime, tick_hz: i64) -> i64 {
 }
 
 /// The time of a grid index, rounded down to the microsecond.
-pub fn grid_moment(k: i64, tick_hz: i64) -> ServerTime {
+pub fn grid_time(k: i64, tick_hz: i64) -> ServerTime {
     let us = i128::from(k) * 1_000_000;
     ServerTime::from_micros(us.div_euclid(i128::from(tick_hz)) as i64)
 }

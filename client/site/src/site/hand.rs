@@ -91,8 +91,8 @@ impl Site {
             buttons,
             stale: false,
         });
-        let others = match self.moment(now) {
-            Some((s, _)) => self.roster.tools_felt_at(s, self.me),
+        let others = match self.common_time(now) {
+            Some((s, _)) => self.roster.haptic_tools_at(s, self.me),
             None => Vec::new(),
         };
         // Copying the state for a cut has used the time of this step.

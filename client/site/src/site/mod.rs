@@ -41,7 +41,7 @@ use resync_policy::ResyncPolicy;
 use crate::replica::{Prefetch, Replica, ReplicaError, View, ViewCut};
 use crate::tools::{Roster, StrokeCollector, ToolAt};
 
-pub use grid::{grid_index, grid_moment};
+pub use grid::{grid_index, grid_time};
 pub use operation_record::OperationRecord;
 pub use resync_policy::RESYNCS_MAX;
 
@@ -83,7 +83,7 @@ pub struct ViewFrame {
 }
 
 /// Updates for a detached view, in order.
-pub enum ViewNews {
+pub enum ViewUpdate {
     /// A cut to adopt.
     Cut(Box<ViewCut>),
     /// Corrections of a past view.
@@ -135,7 +135,7 @@ pub struct Site {
     /// `None` before the first solve of this replica.
     last_solve: Option<LastSolve>,
     /// Updates for a detached view.
-    view_news: VecDeque<ViewNews>,
+    view_updates: VecDeque<ViewUpdate>,
     /// Expected topology after the initial log.
     expected: Option<(u32, TopologyHash)>,
     /// The newest topology that was not reported to the server.
@@ -177,7 +177,7 @@ impl Site {
             is_detached: false,
             cuts: Cuts::default(),
             last_solve: None,
-            view_news: VecDeque::new(),
+            view_updates: VecDeque::new(),
             expected: Some((welcome.topology_version, welcome.topology_hash)),
             unreported: None,
             strokes: blade_length_m.map(StrokeCollector::new),
@@ -238,8 +238,8 @@ impl Site {
                         self.handle_drift(corrections.view_time, drift, now);
                     }
                 } else {
-                    let news = ViewNews::Corrections(corrections);
-                    self.view_news.push_back(news);
+                    let news = ViewUpdate::Corrections(corrections);
+                    self.view_updates.push_back(news);
                 }
             }
             ClientEvent::Clock(map) => self.take_clock(map, now),
@@ -291,7 +291,7 @@ impl Site {
 
     /// Moves cut worker and view to other threads, once, when the initial log is applied. The cut worker takes orders
     /// from [`poll_cut_order`](Self::poll_cut_order) and returns results to [`handle_cut`](Self::handle_cut). The
-    /// view takes [`poll_view_news`](Self::poll_view_news) and [`next_view`](Self::next_view).
+    /// view takes [`poll_view_update`](Self::poll_view_update) and [`next_view`](Self::next_view).
     pub fn detach(&mut self) -> Option<(Prefetch, View)> {
         let is_under_way = self.expected.is_some() || self.is_resyncing();
         if is_under_way || self.is_detached || self.deferred.iter().any(cutting::is_cut) {
@@ -304,8 +304,8 @@ impl Site {
     }
 
     /// The next update for a detached view.
-    pub fn poll_view_news(&mut self) -> Option<ViewNews> {
-        self.view_news.pop_front()
+    pub fn poll_view_update(&mut self) -> Option<ViewUpdate> {
+        self.view_updates.pop_front()
     }
 
     /// Adds a sample of this participant's tool.
@@ -329,14 +329,19 @@ impl Site {
     }
 
     /// The displayed time s and the delay D. `None` until the clock offset is known.
-    pub fn moment(&self, now: ClientTime) -> Option<(ServerTime, Span)> {
+    pub fn common_time(&self, now: ClientTime) -> Option<(ServerTime, Span)> {
         let t = self.clock?.to_server(now);
         Some((self.schedule.shown_at(t), self.schedule.delay_at(t)))
     }
 
+    /// Views per second of the session.
+    pub fn tick_hz(&self) -> i64 {
+        self.tick_hz
+    }
+
     /// The newest grid point to display; `None` if it was returned already. Skipped points are counted.
     pub fn next_view(&mut self, now: ClientTime) -> Option<ViewFrame> {
-        let (s, delay) = self.moment_shown(now)?;
+        let (s, delay) = self.displayed_time(now)?;
         let k = grid_index(s, self.tick_hz);
         if self.expected.is_some()
             || self.is_resyncing()
@@ -348,7 +353,7 @@ impl Site {
             self.counters.views_skipped += (k - last - 1) as u64;
         }
         self.last_k = Some(k);
-        let s = grid_moment(k, self.tick_hz);
+        let s = grid_time(k, self.tick_hz);
         self.first_view.get_or_insert(s);
         if self.roster.is_extrapolated(s) {
             self.extrapolated = Some(s);
@@ -360,7 +365,7 @@ impl Site {
             s,
             k,
             delay,
-            tools: self.roster.tools_seen_at(s),
+            tools: self.roster.view_tools_at(s),
         })
     }
 

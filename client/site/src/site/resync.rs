@@ -13,7 +13,7 @@ use palpate_protocol::session::ClientEvent;
 use palpate_protocol::{ClientTime, ServerTime};
 
 use super::cutting::Cuts;
-use super::resync_policy::{DRIFT_MAX_M, DRIFT_PATIENCE, RESYNCS_MAX, Verdict, WINDOW};
+use super::resync_policy::{DRIFT_MAX_M, DRIFT_PATIENCE, RESYNCS_MAX, ResyncDecision, WINDOW};
 use super::{Site, SiteError};
 use crate::replica::{Drift, Replica, ReplicaError};
 use crate::tools::Roster;
@@ -107,12 +107,12 @@ impl Site {
             return self.resync_policy.restart();
         }
         match self.resync_policy.handle_drift(view_time, drift.max_m, now) {
-            Verdict::GoOn => {}
-            Verdict::Resync => {
+            ResyncDecision::NoAction => {}
+            ResyncDecision::Resync => {
                 let (is, may) = (drift.max_m * 1e3, DRIFT_MAX_M * 1e3);
                 self.request_resync(format!("the view differs by {is:.2} mm, more than {may} mm for 1 s"));
             }
-            Verdict::TooOften => self.notice(format!(
+            ResyncDecision::TooOften => self.notice(format!(
                 "your replica differs from the server by {:.2} mm after {RESYNCS_MAX} resyncs in {} s; rejoin the session",
                 drift.max_m * 1e3,
                 WINDOW.as_secs_f64()
@@ -160,7 +160,7 @@ impl Site {
         self.unreported = None;
         self.cuts = Cuts::default();
         self.last_solve = None;
-        self.view_news = VecDeque::new();
+        self.view_updates = VecDeque::new();
         (self.counters.operations, self.counters.cuts) = (0, 0);
         self.counters.resyncs += 1;
         self.resync_state = ResyncState::Applying;

@@ -43,9 +43,9 @@ pub(super) struct ResyncPolicy {
 
 /// Decision after a comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Verdict {
+pub(super) enum ResyncDecision {
     /// No action.
-    GoOn,
+    NoAction,
     /// Request a resync.
     Resync,
     /// A resync would be due, but the limit is reached; reported once.
@@ -59,11 +59,11 @@ impl ResyncPolicy {
         view: ServerTime,
         max_m: f64,
         now: ClientTime,
-    ) -> Verdict {
+    ) -> ResyncDecision {
         // NaN exceeds every limit.
         if max_m <= DRIFT_MAX_M {
             self.drifting = None;
-            return Verdict::GoOn;
+            return ResyncDecision::NoAction;
         }
         let row = self.drifting.filter(|(_, newest)| {
             let since = view - *newest;
@@ -72,16 +72,16 @@ impl ResyncPolicy {
         let first = row.map_or(view, |(first, _)| first);
         self.drifting = Some((first, view));
         if view - first < DRIFT_PATIENCE {
-            return Verdict::GoOn;
+            return ResyncDecision::NoAction;
         }
         self.drifting = None;
         if self.may_resync(now) {
-            return Verdict::Resync;
+            return ResyncDecision::Resync;
         }
         if std::mem::replace(&mut self.was_refused, true) {
-            Verdict::GoOn
+            ResyncDecision::NoAction
         } else {
-            Verdict::TooOften
+            ResyncDecision::TooOften
         }
     }
 
@@ -131,7 +131,7 @@ mod tests {
     fn asked(resync: &mut ResyncPolicy, from_ms: i64, until_ms: i64, max_m: f64) -> Vec<i64> {
         let times = (from_ms..until_ms).step_by(100);
         times
-            .filter(|t| resync.handle_drift(view(*t), max_m, at(*t)) == Verdict::Resync)
+            .filter(|t| resync.handle_drift(view(*t), max_m, at(*t)) == ResyncDecision::Resync)
             .collect()
     }
 
@@ -148,7 +148,10 @@ mod tests {
     fn distant_comparisons_form_no_series() {
         let mut resync = ResyncPolicy::default();
         for t in (0..60_000).step_by(600) {
-            assert_eq!(resync.handle_drift(view(t), 1.0, at(t)), Verdict::GoOn);
+            assert_eq!(
+                resync.handle_drift(view(t), 1.0, at(t)),
+                ResyncDecision::NoAction
+            );
         }
     }
 
@@ -176,7 +179,7 @@ mod tests {
             for (i, max_m) in drifts.into_iter().enumerate() {
                 let t = i as i64 * 100;
                 // Values are mostly beyond the limit, so that requests occur.
-                if resync.handle_drift(view(t), max_m + 0.49e-3, at(t)) == Verdict::Resync {
+                if resync.handle_drift(view(t), max_m + 0.49e-3, at(t)) == ResyncDecision::Resync {
                     resync.note(at(t));
                     made.push(t);
                 }

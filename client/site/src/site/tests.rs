@@ -136,7 +136,7 @@ fn grid_works_for_rates_that_do_not_divide_a_second() {
             let s = ServerTime::from_micros(us);
             let k = grid_index(s, hz);
             assert!(
-                grid_moment(k, hz) <= s && s < grid_moment(k + 1, hz),
+                grid_time(k, hz) <= s && s < grid_time(k + 1, hz),
                 "{hz} {us}"
             );
         }
@@ -456,8 +456,8 @@ fn haptic_shape_follows_other_tools_between_grid_points() {
         site.roster.insert(OTHER, sample);
     }
     let at = |site: &mut Site, t: i64| {
-        let (s, _) = site.moment(ms(t)).unwrap();
-        site.roster.tools_felt_at(s, ME)[0].position.x
+        let (s, _) = site.common_time(ms(t)).unwrap();
+        site.roster.haptic_tools_at(s, ME)[0].position.x
     };
     assert!(site.view_step(ms(50), budget()).is_some());
     assert!((at(&mut site, 50) - 50e-4).abs() < 1e-9);

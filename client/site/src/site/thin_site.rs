@@ -24,15 +24,15 @@ impl Site {
 
     /// Passes surface displacements to the thin view; full subscribers ignore them.
     pub(super) fn handle_displacements(&mut self, news: Displacements, now: ClientTime) {
-        let s = self.moment(now).map(|(s, _)| s);
+        let s = self.common_time(now).map(|(s, _)| s);
         if let Some(thin) = self.replica.thin_view_mut() {
             thin.receive(news, s);
         }
     }
 
     /// Displayed time of the view and its total delay: the common time, minus the lag of a thin view.
-    pub(super) fn moment_shown(&self, now: ClientTime) -> Option<(ServerTime, Span)> {
-        let (s, delay) = self.moment(now)?;
+    pub(super) fn displayed_time(&self, now: ClientTime) -> Option<(ServerTime, Span)> {
+        let (s, delay) = self.common_time(now)?;
         let lag = self.replica.thin_view().map_or(Span::ZERO, ThinView::lag);
         Some((s - lag, delay + lag))
     }

@@ -112,7 +112,7 @@ impl Roster {
 
     /// All tools at a time of the common grid. Query in ascending order: late samples are blended in from one query
     /// to the next.
-    pub fn tools_seen_at(&mut self, s: ServerTime) -> Vec<ToolAt> {
+    pub fn view_tools_at(&mut self, s: ServerTime) -> Vec<ToolAt> {
         let at = |(who, seat): (&ParticipantId, &mut Seat)| {
             let shown = seat.seen.at(s)?;
             Some(ToolAt::shown(*who, seat.active_tool()?, &shown))
@@ -129,7 +129,7 @@ impl Roster {
     }
 
     /// The tools of all participants but `me` at any time, for the haptic shape. Query in ascending order.
-    pub fn tools_felt_at(&mut self, s: ServerTime, me: ParticipantId) -> Vec<ToolAt> {
+    pub fn haptic_tools_at(&mut self, s: ServerTime, me: ParticipantId) -> Vec<ToolAt> {
         let at = |(who, seat): (&ParticipantId, &mut Seat)| {
             let shown = seat.felt.at(s)?;
             Some(ToolAt::shown(*who, seat.active_tool()?, &shown))
@@ -189,7 +189,7 @@ mod tests {
             roster.insert(ParticipantId(who), sample(0, 1));
             roster.insert(ParticipantId(who), sample(1000, 1));
         }
-        let tools = roster.tools_seen_at(ServerTime::from_micros(500));
+        let tools = roster.view_tools_at(ServerTime::from_micros(500));
         assert!(tools[0].is_cutting() && tools[0].contacts().next().is_none());
         assert!(tools[1].contacts().next().is_some());
     }
@@ -202,28 +202,28 @@ mod tests {
             roster.insert(me, sample(us, 0));
         }
         roster.set_demoted(me, true);
-        assert!(roster.tools_seen_at(at).is_empty() && roster.tool_of(me).is_none());
-        assert!(roster.tools_felt_at(at, ParticipantId(2)).is_empty());
+        assert!(roster.view_tools_at(at).is_empty() && roster.tool_of(me).is_none());
+        assert!(roster.haptic_tools_at(at, ParticipantId(2)).is_empty());
         roster.set_demoted(me, false);
-        assert_eq!(roster.tools_seen_at(at).len(), 1);
+        assert_eq!(roster.view_tools_at(at).len(), 1);
     }
 
     #[test]
     fn silent_tool_makes_no_contact_and_left_participant_is_removed() {
         let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
         roster.insert(ParticipantId(1), sample(0, 0));
-        let late = roster.tools_seen_at(ServerTime::from_micros(300_000));
+        let late = roster.view_tools_at(ServerTime::from_micros(300_000));
         assert!(late[0].stale && late[0].contacts().next().is_none());
         roster.insert(ParticipantId(1), sample(300_000, 0));
         let now = ServerTime::from_micros(300_000);
-        assert!(!roster.tools_seen_at(now)[0].stale);
+        assert!(!roster.view_tools_at(now)[0].stale);
         roster.lose(ParticipantId(1));
-        assert!(roster.tools_seen_at(now).is_empty());
+        assert!(roster.view_tools_at(now).is_empty());
         roster.leave(ParticipantId(1));
         roster.insert(ParticipantId(1), sample(310_000, 0));
         assert!(
             roster
-                .tools_seen_at(ServerTime::from_micros(310_000))
+                .view_tools_at(ServerTime::from_micros(310_000))
                 .is_empty()
         );
     }

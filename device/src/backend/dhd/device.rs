@@ -27,7 +27,7 @@ pub struct Dhd {
     caps: DeviceCaps,
     has_wrist: bool,
     has_gripper: bool,
-    knows_place: bool,
+    is_calibrated: bool,
     until_asked: u32,
     motors: Motors,
 }
@@ -40,7 +40,7 @@ impl Dhd {
             caps: caps(api.system_type(), api.name(), has_wrist, has_gripper),
             has_wrist,
             has_gripper,
-            knows_place: api.is_initialised(),
+            is_calibrated: api.is_initialised(),
             until_asked: CALIBRATION_EVERY,
             motors: Motors::new(RAMP_US),
             api,
@@ -70,10 +70,10 @@ impl Dhd {
         self.until_asked -= 1;
         if self.until_asked == 0 {
             self.until_asked = CALIBRATION_EVERY;
-            self.knows_place = self.api.is_initialised();
+            self.is_calibrated = self.api.is_initialised();
         }
         let mut faults = Faults::NONE;
-        if !self.knows_place {
+        if !self.is_calibrated {
             faults = faults.with(Faults::UNTRUSTED_POSE);
         }
         let frame = frame();
@@ -126,7 +126,7 @@ impl HapticDevice for Dhd {
     }
 
     fn calibration(&self) -> Calibration {
-        if self.knows_place {
+        if self.is_calibrated {
             Calibration::Done
         } else {
             Calibration::NeedsUser
@@ -140,7 +140,7 @@ impl HapticDevice for Dhd {
         let done = self.api.initialise();
         // The library's own control leaves the motors on.
         self.stop()?;
-        self.knows_place = self.api.is_initialised();
+        self.is_calibrated = self.api.is_initialised();
         done?;
         Ok(self.calibration())
     }
@@ -149,8 +149,8 @@ impl HapticDevice for Dhd {
         self.motors.check_open()?;
         self.stop()?;
         if on {
-            self.knows_place = self.api.is_initialised();
-            if !self.knows_place {
+            self.is_calibrated = self.api.is_initialised();
+            if !self.is_calibrated {
                 return Err(DeviceFault::NotCalibrated);
             }
             self.api.enable(true)?;

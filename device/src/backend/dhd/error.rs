@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::backend::found::Choice;
+use crate::backend::found::SelectionError;
 use crate::backend::library::LibraryError;
 use crate::{DeviceFault, Rejection};
 
@@ -14,7 +14,7 @@ pub enum DhdError {
     Library(#[from] LibraryError),
     /// No device is plugged in, or the choice is ambiguous.
     #[error(transparent)]
-    Choice(#[from] Choice),
+    SelectionError(#[from] SelectionError),
     /// The library reported an error.
     #[error(
         "the maker's library failed to {what}: {words} (its code {code}); look at cable and power, close other programs \

@@ -74,7 +74,7 @@ pub fn invented() -> Config {
 pub fn simulated(script: &Script, start: ScriptStart) -> Result<Placed, Unsuited> {
     let config = invented();
     let middle = Middle::of(&config.linkage)?;
-    let upright = script.ways()[0].orientation;
+    let upright = script.waypoints()[0].orientation;
     let placement = Placement::with(upright, middle.pivot, script.middle());
     let moved = script.seen_from(&placement)?;
     check(&moved, &middle)?;
@@ -85,7 +85,7 @@ pub fn simulated(script: &Script, start: ScriptStart) -> Result<Placed, Unsuited
 
 fn check(script: &Script, middle: &Middle) -> Result<(), Unsuited> {
     let reach = middle.half_m * (1.0 + 1e-9);
-    for (k, way) in script.ways().iter().enumerate() {
+    for (k, way) in script.waypoints().iter().enumerate() {
         let (number, t_s) = (k + 1, way.t_s);
         let away = (way.position - middle.pivot).amax();
         if away > reach {
@@ -115,22 +115,22 @@ mod tests {
 
     use super::{Unsuited, simulated};
     use crate::backend::sim::ScriptStart;
-    use crate::script::{Hand, Tool, WayPoint};
+    use crate::script::{Hand, Tool, Waypoint};
     use crate::{DeviceTime, HapticDevice, Script};
 
-    fn script(ways: Vec<WayPoint>) -> Script {
+    fn script(waypoints: Vec<Waypoint>) -> Script {
         let tool = Tool::probe(4e-3);
-        Script::new(tool, Hand::default(), ways, false).unwrap()
+        Script::new(tool, Hand::default(), waypoints, false).unwrap()
     }
 
     #[test]
     fn it_follows_a_script_of_the_scene() {
-        let ways = vec![
-            WayPoint::new(0.0, Vector3::new(0.3, 0.1, 0.02)),
-            WayPoint::new(1.0, Vector3::new(0.3, 0.12, -0.02)),
+        let waypoints = vec![
+            Waypoint::new(0.0, Vector3::new(0.3, 0.1, 0.02)),
+            Waypoint::new(1.0, Vector3::new(0.3, 0.12, -0.02)),
         ];
         let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, 1.9, -0.4));
-        let script = script(ways.into_iter().map(|way| way.turned(turn)).collect());
+        let script = script(waypoints.into_iter().map(|way| way.turned(turn)).collect());
         let start = ScriptStart::at(DeviceTime::ZERO);
         let mut device = simulated(&script, start).unwrap();
         for i in 0..1500 {
@@ -146,8 +146,8 @@ mod tests {
     #[test]
     fn an_infeasible_script_is_rejected_with_its_way_point() {
         let far = vec![
-            WayPoint::new(0.0, Vector3::zeros()),
-            WayPoint::new(2.5, Vector3::new(0.3, 0.0, 0.0)),
+            Waypoint::new(0.0, Vector3::zeros()),
+            Waypoint::new(2.5, Vector3::new(0.3, 0.0, 0.0)),
         ];
         let error = simulated(&script(far), ScriptStart::not_yet())
             .err()
@@ -157,8 +157,8 @@ mod tests {
             "{error}"
         );
         let tilted = vec![
-            WayPoint::new(0.0, Vector3::zeros()),
-            WayPoint::new(2.5, Vector3::zeros())
+            Waypoint::new(0.0, Vector3::zeros()),
+            Waypoint::new(2.5, Vector3::zeros())
                 .turned(UnitQuaternion::from_euler_angles(0.8, 0.0, 0.0)),
         ];
         let error = simulated(&script(tilted), ScriptStart::not_yet())

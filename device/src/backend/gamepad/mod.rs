@@ -26,7 +26,9 @@ mod tests;
 
 use std::time::Duration;
 
-use super::steered::{Gone, Kind, News, OpenError, RateControl, Rumble, Source, Space, Steered};
+use super::steered::{
+    DeviceLost, Kind, OpenError, RateControl, Rumble, Source, SourceEvent, Space, Steered,
+};
 
 pub use pad::{Axis, Key, Pad, PadEvent, Trigger};
 #[cfg(feature = "gamepad")]
@@ -35,7 +37,7 @@ pub use system::open;
 /// Source of gamepad events.
 pub trait Port: Send {
     /// Waits at most `patience` for the next event.
-    fn event(&mut self, patience: Duration) -> Result<Option<PadEvent>, Gone>;
+    fn event(&mut self, patience: Duration) -> Result<Option<PadEvent>, DeviceLost>;
 
     /// Looks once, without waiting, for the lost gamepad; returns whether it is back.
     fn reopen(&mut self) -> bool;
@@ -82,12 +84,12 @@ struct Listener<P> {
 }
 
 impl<P: Port> Source for Listener<P> {
-    fn listen(&mut self, patience: Duration) -> Result<News, Gone> {
+    fn listen(&mut self, patience: Duration) -> Result<SourceEvent, DeviceLost> {
         let event = self.port.event(patience)?;
-        Ok(event.map_or(News::Quiet, |event| {
-            self.pad
-                .take(event)
-                .map_or(News::Garbled, |()| News::Controls(self.pad.controls()))
+        Ok(event.map_or(SourceEvent::Quiet, |event| {
+            self.pad.take(event).map_or(SourceEvent::Garbled, |()| {
+                SourceEvent::Controls(self.pad.controls())
+            })
         }))
     }
 

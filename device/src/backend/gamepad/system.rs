@@ -5,7 +5,7 @@ use std::time::Duration;
 use gilrs::ff::{BaseEffect, BaseEffectType, Effect, EffectBuilder};
 use gilrs::{Button, EventType, GamepadId, Gilrs, GilrsBuilder};
 
-use super::{Axis, Gone, Key, PadEvent, Port, Trigger, over};
+use super::{Axis, DeviceLost, Key, PadEvent, Port, Trigger, over};
 use crate::backend::steered::{OpenError, RateControl, Space, Steered};
 
 const WHAT: &str = "gamepad";
@@ -58,12 +58,12 @@ struct Pads {
 }
 
 impl Port for Pads {
-    fn event(&mut self, patience: Duration) -> Result<Option<PadEvent>, Gone> {
+    fn event(&mut self, patience: Duration) -> Result<Option<PadEvent>, DeviceLost> {
         let event = self.all.next_event_blocking(Some(patience));
         match event.filter(|event| event.id == self.id) {
             Some(event) if event.event == EventType::Disconnected => {
                 self.shake = None;
-                Err(Gone)
+                Err(DeviceLost)
             }
             Some(event) => Ok(translated(event.event)),
             None => Ok(None),

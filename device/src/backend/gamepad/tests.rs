@@ -7,7 +7,7 @@ use std::time::Duration;
 use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
-use super::{Axis, Gone, Key, Pad, PadEvent, Port, Trigger, over, rate};
+use super::{Axis, DeviceLost, Key, Pad, PadEvent, Port, Trigger, over, rate};
 use crate::backend::steered::{Controls, Space, Steered};
 use crate::{
     Buttons, DeviceFault, DeviceTime, Faults, HapticDevice, Pose, Rejection, Workspace, Wrench,
@@ -147,11 +147,11 @@ struct Script {
 }
 
 impl Port for Script {
-    fn event(&mut self, patience: Duration) -> Result<Option<PadEvent>, Gone> {
+    fn event(&mut self, patience: Duration) -> Result<Option<PadEvent>, DeviceLost> {
         let Some(event) = self.events.pop_front() else {
             let _ = self.done.send(());
             if self.off {
-                return Err(Gone);
+                return Err(DeviceLost);
             }
             let _ = self.on.recv_timeout(patience);
             return Ok(None);

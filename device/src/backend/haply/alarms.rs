@@ -75,12 +75,12 @@ impl Alarms {
 
 /// Evaluates the alarms once per message, on the thread of the states.
 #[derive(Debug, Default)]
-pub(super) struct Watch {
+pub(super) struct AlarmMonitor {
     seen: u32,
     left: u32,
 }
 
-impl Watch {
+impl AlarmMonitor {
     /// The faults of this message.
     pub(super) fn look(&mut self, alarms: &Alarms) -> Faults {
         let happened = alarms.happened.load(Ordering::Acquire);
@@ -141,7 +141,7 @@ pub(super) fn listen(url: &str, id: &str, alarms: &Arc<Alarms>, leave: &AtomicBo
 
 #[cfg(test)]
 mod tests {
-    use super::{Alarms, MOMENT, Watch};
+    use super::{AlarmMonitor, Alarms, MOMENT};
     use crate::Faults;
 
     fn event(safety: &str, level: &str, id: &str) -> String {
@@ -153,7 +153,7 @@ mod tests {
 
     #[test]
     fn events_become_faults_for_as_long_as_they_last() {
-        let (alarms, mut watch) = (Alarms::default(), Watch::default());
+        let (alarms, mut watch) = (Alarms::default(), AlarmMonitor::default());
         let mut after = |text: String| {
             alarms.apply("049D", &text);
             watch.look(&alarms)
@@ -193,7 +193,7 @@ mod tests {
 
     #[test]
     fn a_new_connection_clears_lasting_alarms() {
-        let (alarms, mut watch) = (Alarms::default(), Watch::default());
+        let (alarms, mut watch) = (Alarms::default(), AlarmMonitor::default());
         alarms.apply("049D", &event("ebrake_triggered", "error", "049D"));
         alarms.apply("049D", &event("fod_stage_changed", "warning", "049D"));
         let both = Faults::EMERGENCY_STOP.with(Faults::OVER_FORCE);

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::backend::found::Choice;
+use crate::backend::found::SelectionError;
 
 /// Reason why an Inverse3 can not be opened, as a sentence for users.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -46,7 +46,7 @@ pub enum HaplyError {
     },
     /// No device is plugged in, or the choice is ambiguous.
     #[error(transparent)]
-    Choice(#[from] Choice),
+    SelectionError(#[from] SelectionError),
     /// The system could not start a thread.
     #[error("the system did not start a thread for the Haply service: {0}")]
     Thread(String),

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use super::alarms::{Alarms, Watch};
+use super::alarms::{AlarmMonitor, Alarms};
 use super::inventory;
 use super::link::{Link, Received};
 use super::message::{Message, Spelling, force};
@@ -40,7 +40,7 @@ struct Ended;
 impl Session {
     /// Runs until the stop flag is set, and reconnects after a loss. The last message is zero force.
     pub(super) fn run(mut self, link: Link) {
-        let mut watch = Watch::default();
+        let mut watch = AlarmMonitor::default();
         let mut next = Some(link);
         while let Some(mut link) = next.take() {
             link.wait_at_most(ANSWER);
@@ -65,7 +65,7 @@ impl Session {
     }
 
     /// Exchanges messages until the stop flag is set.
-    fn run_session(&mut self, link: &mut Link, watch: &mut Watch) -> Result<(), Ended> {
+    fn run_session(&mut self, link: &mut Link, watch: &mut AlarmMonitor) -> Result<(), Ended> {
         while !self.leave.load(Ordering::Acquire) {
             // The loop unparks this thread by a write or by closing.
             std::thread::park_timeout(IDLE);
@@ -97,7 +97,12 @@ impl Session {
     }
 
     /// Sends an order and waits for its answer, and for outstanding ones.
-    fn exchange(&mut self, link: &mut Link, order: &Order, watch: &mut Watch) -> Result<(), Ended> {
+    fn exchange(
+        &mut self,
+        link: &mut Link,
+        order: &Order,
+        watch: &mut AlarmMonitor,
+    ) -> Result<(), Ended> {
         self.send(link, order)?;
         let mut outstanding = 1;
         while outstanding > 0 {
@@ -124,7 +129,7 @@ impl Session {
     }
 
     /// Publishes the state in an answer. An invalid answer is ignored: the loop detects missing states.
-    fn apply(&mut self, text: &str, watch: &mut Watch) {
+    fn apply(&mut self, text: &str, watch: &mut AlarmMonitor) {
         let Ok(message) = Message::read(text) else {
             return;
         };

@@ -205,14 +205,14 @@ impl Api {
 }
 
 /// Callback of the library's servo thread; returns whether to call it again.
-pub(super) type Turn = Box<dyn FnMut() -> bool + Send>;
+pub(super) type ServoCallback = Box<dyn FnMut() -> bool + Send>;
 
 /// Callback after a panic in a turn: it removes the force.
 pub(super) type Rescue = Box<dyn FnMut() + Send>;
 
 /// Target of the pointer that the library passes to the callback.
 struct Turns {
-    turn: Turn,
+    turn: ServoCallback,
     rescue: Rescue,
     end: Arc<End>,
 }
@@ -264,7 +264,7 @@ unsafe impl Send for Servo {}
 
 impl Servo {
     /// Starts the scheduler; its thread calls `turn` about once per millisecond, until `turn` returns false.
-    pub(super) fn start(api: Arc<Api>, turn: Turn, rescue: Rescue) -> Self {
+    pub(super) fn start(api: Arc<Api>, turn: ServoCallback, rescue: Rescue) -> Self {
         let end = Arc::new(End::default());
         let turns = Box::into_raw(Box::new(Turns {
             turn,
@@ -324,7 +324,7 @@ mod tests {
     use super::{CONTINUE, DONE, End, ErrorInfo, Turns, trampoline};
 
     /// Results of the callback for `n` calls.
-    fn called(turn: super::Turn, n: usize) -> (Vec<u32>, Arc<End>) {
+    fn called(turn: super::ServoCallback, n: usize) -> (Vec<u32>, Arc<End>) {
         let end = Arc::new(End::default());
         let rescued = Arc::new(AtomicU32::new(0));
         let count = Arc::clone(&rescued);

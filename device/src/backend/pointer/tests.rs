@@ -190,7 +190,7 @@ fn a_click_between_two_readings_appears_in_one() {
 }
 
 #[test]
-fn invalid_events_are_rejected_counted_and_reported_once() {
+fn invalid_events_are_rejected_and_reported_once() {
     let (mut device, mut handle) = pointer();
     let good = event(0, 0.0, 0.0);
     let bad = [

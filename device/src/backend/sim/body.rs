@@ -32,7 +32,7 @@ pub(super) struct Body {
 
 impl Body {
     pub(super) fn new(script: Script) -> Self {
-        let position = script.ways()[0].position;
+        let position = script.waypoints()[0].position;
         let tremor = Tremor::new(&script.hand());
         Self {
             script,

@@ -165,17 +165,17 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::{CATCH_UP_MAX_US, ScriptStart, SimHand};
-    use crate::script::{Hand, Tool, WayPoint};
+    use crate::script::{Hand, Tool, Waypoint};
     use crate::{
         DeviceTime, Faults, ForceState, HapticDevice, Sample, Script, Wrench, Written, conformance,
     };
 
     fn press(tremor_m: f64) -> Script {
         let tool = Tool::probe(0.004);
-        let ways = vec![
-            WayPoint::new(0.0, Vector3::new(0.0, 0.0, 0.08)),
-            WayPoint::new(1.0, Vector3::new(0.0, 0.0, 0.04)),
-            WayPoint::new(2.0, Vector3::new(0.05, 0.0, 0.04)),
+        let waypoints = vec![
+            Waypoint::new(0.0, Vector3::new(0.0, 0.0, 0.08)),
+            Waypoint::new(1.0, Vector3::new(0.0, 0.0, 0.04)),
+            Waypoint::new(2.0, Vector3::new(0.05, 0.0, 0.04)),
         ];
         Script::new(
             tool,
@@ -183,7 +183,7 @@ mod tests {
                 tremor_m,
                 ..Hand::default()
             },
-            ways,
+            waypoints,
             false,
         )
         .unwrap()

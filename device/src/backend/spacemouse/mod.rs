@@ -15,7 +15,9 @@ mod system;
 #[cfg(test)]
 mod tests;
 
-use super::steered::{Gone, Kind, News, OpenError, RateControl, Source, Space, Steered};
+use super::steered::{
+    DeviceLost, Kind, OpenError, RateControl, Source, SourceEvent, Space, Steered,
+};
 use std::time::Duration;
 
 pub use cap::Cap;
@@ -35,7 +37,7 @@ pub trait Port: Send {
         &mut self,
         into: &mut [u8; REPORT_BYTES_MAX],
         patience: Duration,
-    ) -> Result<usize, Gone>;
+    ) -> Result<usize, DeviceLost>;
 
     /// Looks once, without waiting, for the lost device; returns whether it is back.
     fn reopen(&mut self) -> bool;
@@ -69,17 +71,17 @@ struct Listener<P> {
 }
 
 impl<P: Port> Source for Listener<P> {
-    fn listen(&mut self, patience: Duration) -> Result<News, Gone> {
+    fn listen(&mut self, patience: Duration) -> Result<SourceEvent, DeviceLost> {
         let mut bytes = [0; REPORT_BYTES_MAX];
         let n = self.port.report(&mut bytes, patience)?;
         if n == 0 {
-            return Ok(News::Quiet);
+            return Ok(SourceEvent::Quiet);
         }
         let bytes = &bytes[..n.min(REPORT_BYTES_MAX)];
         Ok(match Report::parse(bytes) {
-            Ok(Some(report)) => News::Controls(self.cap.take(report)),
-            Ok(None) => News::Quiet,
-            Err(_) => News::Garbled,
+            Ok(Some(report)) => SourceEvent::Controls(self.cap.take(report)),
+            Ok(None) => SourceEvent::Quiet,
+            Err(_) => SourceEvent::Garbled,
         })
     }
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use hidapi::{DeviceInfo, HidApi, HidDevice};
 
-use super::{Gone, Port, REPORT_BYTES_MAX, VENDORS, known, over};
+use super::{DeviceLost, Port, REPORT_BYTES_MAX, VENDORS, known, over};
 use crate::backend::steered::{OpenError, RateControl, Space, Steered};
 
 const WHAT: &str = "6-DOF mouse";
@@ -70,12 +70,12 @@ impl Port for Hid {
         &mut self,
         into: &mut [u8; REPORT_BYTES_MAX],
         patience: Duration,
-    ) -> Result<usize, Gone> {
-        let device = self.device.as_ref().ok_or(Gone)?;
+    ) -> Result<usize, DeviceLost> {
+        let device = self.device.as_ref().ok_or(DeviceLost)?;
         let patience = i32::try_from(patience.as_millis()).unwrap_or(i32::MAX);
         device.read_timeout(into, patience).map_err(|_| {
             self.device = None;
-            Gone
+            DeviceLost
         })
     }
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
-use super::{BadReport, Cap, Gone, MULTI_AXIS, Port, REPORT_BYTES_MAX, Report, known, over};
+use super::{BadReport, Cap, DeviceLost, MULTI_AXIS, Port, REPORT_BYTES_MAX, Report, known, over};
 use crate::backend::steered::{Controls, RateControl, Space, Steered};
 use crate::{Buttons, DeviceFault, DeviceTime, Faults, HapticDevice, Pose, Workspace, conformance};
 
@@ -153,11 +153,11 @@ impl Port for Wire {
         &mut self,
         into: &mut [u8; REPORT_BYTES_MAX],
         patience: Duration,
-    ) -> Result<usize, Gone> {
+    ) -> Result<usize, DeviceLost> {
         let Some(message) = self.messages.pop_front() else {
             let _ = self.read.send(());
             if self.pulled {
-                return Err(Gone);
+                return Err(DeviceLost);
             }
             // No message arrives; the wait takes the time.
             let _ = self.plug.recv_timeout(patience);

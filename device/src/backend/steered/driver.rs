@@ -20,7 +20,7 @@ pub const REOPEN_EVERY: Duration = Duration::from_millis(500);
 
 /// Result of a wait for a device.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum News {
+pub enum SourceEvent {
     /// No message in time.
     Quiet,
     /// The present controls.
@@ -32,12 +32,12 @@ pub enum News {
 /// The device does not answer any more.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[error("the device does not answer any more")]
-pub struct Gone;
+pub struct DeviceLost;
 
 /// Source of deflections. It lives on its own thread and may wait there.
 pub trait Source: Send {
     /// Waits at most `patience` for the next message.
-    fn listen(&mut self, patience: Duration) -> Result<News, Gone>;
+    fn listen(&mut self, patience: Duration) -> Result<SourceEvent, DeviceLost>;
 
     /// Looks once, without waiting, for the lost device; returns whether it is back.
     fn reopen(&mut self) -> bool;
@@ -110,10 +110,12 @@ fn run(
     let goes_on = |patience| keep.recv_timeout(patience) == Err(RecvTimeoutError::Timeout);
     while goes_on(Duration::ZERO) {
         match source.listen(PATIENCE) {
-            Ok(News::Quiet) => {}
-            Ok(News::Controls(controls)) if controls.is_finite() => publisher.publish(controls),
-            Ok(News::Controls(_) | News::Garbled) => publisher.garbled(),
-            Err(Gone) => {
+            Ok(SourceEvent::Quiet) => {}
+            Ok(SourceEvent::Controls(controls)) if controls.is_finite() => {
+                publisher.publish(controls)
+            }
+            Ok(SourceEvent::Controls(_) | SourceEvent::Garbled) => publisher.garbled(),
+            Err(DeviceLost) => {
                 publisher.present(false);
                 loop {
                     if !goes_on(REOPEN_EVERY) {

@@ -4,7 +4,7 @@
 //! buffer passes them to the force loop ([`Controls`]), and [`Steering`] integrates them to a pose.
 //!
 //! - [`RateControl`], [`Steering`]: deflection to speed, speed to pose, within a workspace.
-//! - [`Source`], [`News`]: the part of each driver.
+//! - [`Source`], [`SourceEvent`]: the part of each driver.
 //! - [`Steered`]: all of it as a [`HapticDevice`](crate::HapticDevice) that renders no force. Where the hardware
 //!   rumbles, the force on the tool becomes a cue ([`Rumble`]).
 
@@ -18,6 +18,6 @@ mod tests;
 
 pub use controls::Controls;
 pub use device::{Kind, OpenError, Space, Steered};
-pub use driver::{Gone, News, REOPEN_EVERY, Source};
+pub use driver::{DeviceLost, REOPEN_EVERY, Source, SourceEvent};
 pub use rumble::Rumble;
 pub use steering::{BadRate, PAUSE_MAX_US, RateControl, Steering};

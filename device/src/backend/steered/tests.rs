@@ -7,7 +7,8 @@ use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 use super::{
-    Controls, Gone, Kind, News, PAUSE_MAX_US, RateControl, Rumble, Source, Space, Steered, Steering,
+    Controls, DeviceLost, Kind, PAUSE_MAX_US, RateControl, Rumble, Source, SourceEvent, Space,
+    Steered, Steering,
 };
 use crate::{
     Buttons, DeviceFault, DeviceTime, Faults, HapticDevice, Pose, Workspace, Wrench, conformance,
@@ -144,7 +145,7 @@ proptest! {
 
 /// Request of the script to the driver's thread.
 enum Order {
-    Say(News),
+    Say(SourceEvent),
     Vanish,
     Panic,
 }
@@ -158,13 +159,13 @@ struct Scripted {
 }
 
 impl Source for Scripted {
-    fn listen(&mut self, _patience: Duration) -> Result<News, Gone> {
+    fn listen(&mut self, _patience: Duration) -> Result<SourceEvent, DeviceLost> {
         let _ = self.waits.send(());
         match self.orders.recv() {
             Ok(Order::Say(news)) => Ok(news),
             Ok(Order::Panic) => panic!("the driver's own bug"),
-            Ok(Order::Vanish) => Err(Gone),
-            Err(_) => Ok(News::Quiet),
+            Ok(Order::Vanish) => Err(DeviceLost),
+            Err(_) => Ok(SourceEvent::Quiet),
         }
     }
 
@@ -228,7 +229,7 @@ impl Bench {
 
     fn push(&self, x: f64) {
         let push = Vector3::new(x, 0.0, 0.0);
-        self.order(Order::Say(News::Controls(Controls {
+        self.order(Order::Say(SourceEvent::Controls(Controls {
             push,
             buttons: Buttons::PRIMARY,
             gripper: Some(0.5),
@@ -291,7 +292,7 @@ fn garbage_is_a_fault_once_and_moves_nothing() {
         push: Vector3::repeat(f64::NAN),
         ..Controls::NEUTRAL
     };
-    for garbage in [News::Garbled, News::Controls(nan)] {
+    for garbage in [SourceEvent::Garbled, SourceEvent::Controls(nan)] {
         bench.order(Order::Say(garbage));
         let sample = bench.device.read(at(0)).unwrap();
         assert!(sample.faults.contains(Faults::COMMUNICATION));
@@ -343,7 +344,7 @@ fn a_force_becomes_a_cue_that_ends_with_the_device() {
     let mut bench = Bench::new(None);
     let felt = Wrench::from_force(Vector3::new(0.0, 3.0, 4.0));
     bench.device.cue(at(0), &felt);
-    bench.order(Order::Say(News::Quiet));
+    bench.order(Order::Say(SourceEvent::Quiet));
     assert_eq!(bench.hints.recv().unwrap(), 1.0);
     drop(bench.orders);
     bench.device.close();

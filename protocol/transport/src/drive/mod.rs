@@ -4,7 +4,7 @@
 //! The loop then sleeps until the first of: stream bytes, a datagram, room in the stream, room in the
 //! events channel, a command, the machine's deadline. Nothing in it blocks the datagrams.
 //!
-//! Every turn empties the datagram queue, so that a [`StallWatch`] knows how long they may have waited
+//! Every turn empties the datagram queue, so that a [`StallDetector`] knows how long they may have waited
 //! in it.
 
 pub(crate) mod client;
@@ -14,7 +14,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use palpate_protocol::Span;
-use palpate_protocol::lateness::StallWatch;
+use palpate_protocol::lateness::StallDetector;
 use palpate_protocol::session::LinkStats;
 use tokio::sync::{mpsc, watch};
 
@@ -116,7 +116,7 @@ pub(crate) async fn drive<M: Machine>(
     let mut stats_at = tokio::time::Instant::now();
     let mut closed_at = None;
     let began = tokio::time::Instant::now();
-    let mut watch = StallWatch::default();
+    let mut watch = StallDetector::default();
     loop {
         while let Some(bytes) = machine.poll_datagram() {
             connection.send_datagram(bytes);
@@ -147,7 +147,7 @@ pub(crate) async fn drive<M: Machine>(
         let (send, recv) = (&mut connection.send, &mut connection.recv);
         let moved = tokio::select! {
             r = datagrams.read_datagram(), if !machine.is_closed() => {
-                Moved::Datagram(r.map(Vec::from).map_err(|e| crate::error::in_words(&e)))
+                Moved::Datagram(r.map(Vec::from).map_err(|e| crate::error::describe_connection_error(&e)))
             }
             r = recv.read(&mut buffer), if stream_is_open && !machine.is_closed() => {
                 Moved::Read(r.map_err(|e| e.to_string()))
@@ -180,7 +180,9 @@ pub(crate) async fn drive<M: Machine>(
                 stream_is_open = false;
                 // The connection has a better reason for its end than its stream.
                 let reason = datagrams.close_reason();
-                let why = reason.as_ref().map_or(why, crate::error::in_words);
+                let why = reason
+                    .as_ref()
+                    .map_or(why, crate::error::describe_connection_error);
                 if reason.as_ref().is_some_and(is_goodbye) {
                     machine.handle_goodbye(why);
                 } else {
@@ -243,7 +245,7 @@ async fn drain_datagrams<M: Machine>(
     machine: &mut M,
     connection: &mut Connection,
     datagrams: &quinn::Connection,
-    watch: &mut StallWatch,
+    watch: &mut StallDetector,
     clock: impl Fn() -> Span,
 ) {
     for _ in 0..DATAGRAMS_PER_TURN {
@@ -261,7 +263,7 @@ async fn drain_datagrams<M: Machine>(
     }
 }
 
-/// Time since the loop began, for its [`StallWatch`].
+/// Time since the loop began, for its [`StallDetector`].
 fn since(began: tokio::time::Instant) -> Span {
     span(began.elapsed())
 }

@@ -44,7 +44,7 @@ struct Node {
 
 /// The part of a line to search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Way {
+pub(super) enum LineSide {
     /// The part before the point, at lower coordinates.
     Before,
     /// The part after the point.
@@ -172,11 +172,13 @@ impl Bvh {
     }
 
     /// The side of a point along an axis on which the box around all triangles ends sooner.
-    pub(super) fn nearer_end(&self, point: &Vec3, axis: usize) -> Way {
+    pub(super) fn nearer_end(&self, point: &Vec3, axis: usize) -> LineSide {
         let at = point[axis] - self.origin[axis];
         match self.nodes.first() {
-            Some(n) if f64::from(n.high[axis]) - at < at - f64::from(n.low[axis]) => Way::After,
-            _ => Way::Before,
+            Some(n) if f64::from(n.high[axis]) - at < at - f64::from(n.low[axis]) => {
+                LineSide::After
+            }
+            _ => LineSide::Before,
         }
     }
 
@@ -186,7 +188,7 @@ impl Bvh {
         &self,
         point: &Vec3,
         axis: usize,
-        way: Way,
+        way: LineSide,
         mut each: impl FnMut(&Vec3, &[Vec3; 3]),
     ) {
         if self.nodes.is_empty() {
@@ -199,9 +201,9 @@ impl Bvh {
         let (p0, p1, q0, q1) = (p.next_down(), p.next_up(), q.next_down(), q.next_up());
         let d = at[axis] as f32;
         let (first, last) = match way {
-            Way::Before => (f32::NEG_INFINITY, d.next_up()),
-            Way::After => (d.next_down(), f32::INFINITY),
-            Way::Both => (f32::NEG_INFINITY, f32::INFINITY),
+            LineSide::Before => (f32::NEG_INFINITY, d.next_up()),
+            LineSide::After => (d.next_down(), f32::INFINITY),
+            LineSide::Both => (f32::NEG_INFINITY, f32::INFINITY),
         };
         let mut stack = [0_u32; DEPTH_MAX];
         let mut height = 1;

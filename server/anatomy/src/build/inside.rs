@@ -8,7 +8,7 @@ use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::blocks::Blocks;
-use super::bvh::{Bvh, Way};
+use super::bvh::{Bvh, LineSide};
 use super::rays::{Winding, hit_at};
 use crate::Surface;
 
@@ -75,7 +75,7 @@ impl Body {
     fn line_tells(&self, point: Vec3) -> bool {
         let axis = self.axis;
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        let hits = |way: Way, each: &mut dyn FnMut(i8, bool)| {
+        let hits = |way: LineSide, each: &mut dyn FnMut(i8, bool)| {
             self.tree.for_line(&point, axis, way, |at, corners| {
                 if let Some(hit) = hit_at(corners, axis, [at[u], at[v]]) {
                     each(hit.turn, hit.depth < at[axis]);
@@ -87,14 +87,16 @@ impl Body {
             let way = self.tree.nearer_end(&point, axis);
             let mut turns = 0;
             hits(way, &mut |turn, before| {
-                if before == (way == Way::Before) {
+                if before == (way == LineSide::Before) {
                     turns += i32::from(turn);
                 }
             });
             return turns != 0;
         }
         let mut winding = Winding::default();
-        hits(Way::Both, &mut |turn, before| winding.add(turn, before));
+        hits(LineSide::Both, &mut |turn, before| {
+            winding.add(turn, before)
+        });
         winding.is_inside()
     }
 }

@@ -18,7 +18,7 @@
 //!
 //! A clock error lengthens the uplink by the amount by which it shortens the downlink, so it changes no sum.
 
-use palpate_protocol::compensation::{REPORT_OLD, Verdict};
+use palpate_protocol::compensation::{DemotionDecision, REPORT_OLD};
 use palpate_protocol::operation::{CompensationMode, OperationKind};
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::{ParticipantId, ServerTime, Span};
@@ -111,8 +111,10 @@ impl Room {
             }
             let requirement = Span::from_micros(path.requirement(&path_delays));
             match participant.demotion.handle_wanted(requirement, now) {
-                Some(Verdict::Demote { wanted, cap }) => self.demote(path.who, wanted, cap, now),
-                Some(Verdict::Restore) => self.restore(path.who, now),
+                Some(DemotionDecision::Demote { wanted, cap }) => {
+                    self.demote(path.who, wanted, cap, now)
+                }
+                Some(DemotionDecision::Restore) => self.restore(path.who, now),
                 None => {}
             }
         }

@@ -1,7 +1,7 @@
 //! Seats: admission, retention after a lost connection, and resumption.
 
 use palpate_protocol::handshake::{
-    Hello, RefusalReason, Refused, Resume, SEAT_KEPT, Subscription, Welcome,
+    Hello, RefusalReason, Refused, Resume, SEAT_RETENTION, Subscription, Welcome,
 };
 use palpate_protocol::operation::{CompensationSettings, LeaveReason, OperationKind};
 use palpate_protocol::session::{CloseReason, PeerMessage};
@@ -280,7 +280,7 @@ impl Room {
         let Some(seat) = self.participants.get_mut(&who) else {
             return;
         };
-        let until = now + SEAT_KEPT;
+        let until = now + SEAT_RETENTION;
         if let Presence::Connected(peer) =
             std::mem::replace(&mut seat.presence, Presence::Disconnected { until })
         {

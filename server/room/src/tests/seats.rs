@@ -1,6 +1,6 @@
 //! Retention and resumption of seats.
 
-use palpate_protocol::handshake::{Resume, SEAT_KEPT, Subscription, Welcome};
+use palpate_protocol::handshake::{Resume, SEAT_RETENTION, Subscription, Welcome};
 use palpate_protocol::{OperationId, ParticipantId, TopologyHash};
 
 use super::*;
@@ -163,7 +163,7 @@ fn kept_seat_occupies_its_name_and_place_until_it_expires() {
     let taken = refusal(&drain(&mut room));
     assert!(matches!(taken, Some(RefusalReason::NameTaken { .. })));
     assert_eq!(room.participant_count(), 2);
-    let end = ms(1000) + SEAT_KEPT;
+    let end = ms(1000) + SEAT_RETENTION;
     room.handle_tick(end, &mut || false);
     let left = operations(&drain(&mut room), PeerKey(2));
     assert!(matches!(
@@ -237,7 +237,7 @@ fn expired_seat_is_refused_even_before_a_tick_gives_it_up() {
     let (mut room, seat) = two();
     room.handle_event(PeerKey(1), lost(), ms(1000));
     drain(&mut room);
-    let end = ms(1000) + SEAT_KEPT;
+    let end = ms(1000) + SEAT_RETENTION;
     room.handle_event(PeerKey(4), back("ann", seat), end);
     assert_eq!(refusal(&drain(&mut room)), Some(RefusalReason::NoSuchSeat));
 }

@@ -5,7 +5,7 @@
 
 use std::collections::VecDeque;
 
-use palpate_protocol::lateness::StallWatch;
+use palpate_protocol::lateness::StallDetector;
 use palpate_protocol::session::{ClientSession, ServerPeer};
 use palpate_protocol::{ClientTime, LocalSample};
 use proptest::prelude::*;
@@ -94,7 +94,7 @@ impl Wire {
 
 struct Client {
     session: ClientSession,
-    watch: StallWatch,
+    watch: StallDetector,
     /// Samples on their way from the force loop to the network thread.
     samples: VecDeque<LocalSample>,
     offset_us: i64,
@@ -110,7 +110,7 @@ struct Session {
     room: SimulatedRoom,
     clients: Vec<Client>,
     peers: Vec<ServerPeer>,
-    watches: Vec<StallWatch>,
+    watches: Vec<StallDetector>,
     up: Vec<Wire>,
     down: Vec<Wire>,
     inbox: VecDeque<(PeerKey, PeerEvent, ServerTime)>,
@@ -146,7 +146,7 @@ impl Session {
             let offset_us = 1_000_000 * (k as i64 + 1);
             Client {
                 session: ClientSession::new(hello, ClientTime::from_micros(offset_us)).unwrap(),
-                watch: StallWatch::default(),
+                watch: StallDetector::default(),
                 samples: VecDeque::new(),
                 offset_us,
             }
@@ -158,7 +158,7 @@ impl Session {
             peers: (0..clients)
                 .map(|_| ServerPeer::new(ServerTime::ZERO))
                 .collect(),
-            watches: vec![StallWatch::default(); clients],
+            watches: vec![StallDetector::default(); clients],
             up: wires(),
             down: wires(),
             inbox: VecDeque::new(),

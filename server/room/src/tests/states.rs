@@ -1,6 +1,6 @@
 //! Transitions of a seat compared with the state document.
 
-use palpate_protocol::handshake::{Resume, SEAT_KEPT, Subscription};
+use palpate_protocol::handshake::{Resume, SEAT_RETENTION, Subscription};
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::{OperationId, ParticipantId, ProtocolError};
 
@@ -126,7 +126,7 @@ fn run(from: &str, what: &str) -> &'static str {
         }
         "59 s pass" | "60 s pass" => {
             let short = Span::from_millis(if what == "59 s pass" { 1000 } else { 0 });
-            room.handle_tick(ms(0) + SEAT_KEPT - short, &mut || true);
+            room.handle_tick(ms(0) + SEAT_RETENTION - short, &mut || true);
             return state_of(&mut room, &mut log);
         }
         other => panic!("no test for \"{other}\" of a seat"),

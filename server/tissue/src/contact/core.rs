@@ -154,7 +154,7 @@ impl Core {
     }
 
     /// Number of contact patches along and across.
-    pub(crate) fn places(&self, radius: f64, spacing: f64) -> [usize; 2] {
+    pub(crate) fn contact_patches(&self, radius: f64, spacing: f64) -> [usize; 2] {
         let size = PLACE * radius.max(spacing);
         let wanted = [self.a, self.b].map(|axis| {
             let n = (2.0 * axis.norm() / size).ceil();
@@ -173,7 +173,7 @@ impl Core {
 }
 
 /// The patch with these coordinates, given the numbers of patches along and across.
-pub(crate) fn place_of([s, t]: [f64; 2], [n, m]: [usize; 2]) -> usize {
+pub(crate) fn patch_index([s, t]: [f64; 2], [n, m]: [usize; 2]) -> usize {
     let of = |x: f64, n: usize| (((x + 1.0) * 0.5 * n as f64) as usize).min(n - 1);
     of(s, n) * m + of(t, m)
 }
@@ -233,9 +233,9 @@ mod tests {
             let x = core.at([s, t]);
             let away = points.iter().map(|p| (core.at(*p) - x).norm()).fold(f64::MAX, f64::min);
             prop_assert!(away <= 0.02 * 0.71 + 1e-12);
-            let n = core.places(0.002, 0.004);
+            let n = core.contact_patches(0.002, 0.004);
             prop_assert!(n[0] * n[1] <= PLACES_MAX);
-            prop_assert!(place_of([s, t], n) < PLACES_MAX);
+            prop_assert!(patch_index([s, t], n) < PLACES_MAX);
         }
     }
 }

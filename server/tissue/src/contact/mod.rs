@@ -44,7 +44,7 @@ mod tool;
 mod watched;
 
 pub use clearance::Clearance;
-pub use reaction::{Place, Reaction};
+pub use reaction::{ContactPatch, Reaction};
 pub use tool::{Form, TOOL_REACH_MAX_M, Tool};
 
 pub(crate) use contacts::Contacts;

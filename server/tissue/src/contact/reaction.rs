@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, UnitQuaternion};
 use super::PLACES_MAX;
 use super::contact_sample::depth;
 use super::contacts::Contacts;
-use super::core::place_of;
+use super::core::patch_index;
 use crate::{Topology, Vec3};
 
 /// Ratio of the net force of a patch to its total pressure below which the net direction is not a surface normal.
@@ -37,12 +37,12 @@ pub struct Reaction {
     /// Rotation of the proxy.
     pub turn: UnitQuaternion<f64>,
     /// Contact patches in the order of their numbers. Their forces sum to `force`.
-    pub places: Vec<Place>,
+    pub contact_patches: Vec<ContactPatch>,
 }
 
 /// One contact patch of a tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
+pub struct ContactPatch {
     /// Number of the patch, below [`PLACES_MAX`]: stable from step to step.
     pub number: u8,
     /// From the pivot to the centre of pressure, in m: the mean of the samples weighted by force.
@@ -76,7 +76,7 @@ struct PressedSample {
     friction: [f64; 2],
 }
 
-impl Place {
+impl ContactPatch {
     /// Sums the samples of one patch, of which there is at least one.
     fn of(number: usize, samples: &[&PressedSample]) -> Self {
         let force: Vec3 = samples.iter().map(|f| f.force).sum();
@@ -160,7 +160,7 @@ impl Contacts {
             force_error: 0.0,
             at: proxy.at,
             turn: proxy.turn,
-            places: touched.map(|(n, f)| Place::of(n, f)).collect(),
+            contact_patches: touched.map(|(n, f)| ContactPatch::of(n, f)).collect(),
         }
     }
 
@@ -173,7 +173,9 @@ impl Contacts {
         i: usize,
     ) -> (Vec<PressedSample>, Option<f64>) {
         let proxy = &self.proxies[i];
-        let parts = proxy.core.places(proxy.radius, topology.model().spacing_m);
+        let parts = proxy
+            .core
+            .contact_patches(proxy.radius, topology.model().spacing_m);
         let (mut samples, mut nearest) = (Vec::new(), None::<f64>);
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
             let on_core = proxy.core.nearest(&sample.position(u));
@@ -185,7 +187,7 @@ impl Contacts {
                 let face = topology.boundary().faces[sample.triangle as usize / 2];
                 let material = topology.model().material_of(face.cell() as usize);
                 samples.push(PressedSample {
-                    place: place_of(on_core, parts),
+                    place: patch_index(on_core, parts),
                     // On the surface of the real tool, without the inset.
                     lever: c + n * (proxy.radius - proxy.inset) - proxy.at,
                     force: -n * amount,

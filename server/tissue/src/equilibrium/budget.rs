@@ -63,7 +63,7 @@ pub struct StepReport {
     /// Whether the last iteration changed no tool's force by more than half a percent.
     pub steady: bool,
     /// Whether a diverged iterate was discarded and the shape before the step restored.
-    pub fell_back: bool,
+    pub rolled_back: bool,
     /// One per tool, in the order in which tools first appeared.
     pub reactions: Vec<Reaction>,
 }

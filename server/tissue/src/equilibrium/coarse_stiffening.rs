@@ -27,7 +27,7 @@ const HARDENED: f32 = 1.5;
 /// Coarse penalty stiffness of a held node relative to its own: for nodes in place, and for the load that moves the
 /// levels after a node. For nodes in place 8 leaves 23 % of the error per iteration and 1 leaves 11 %; as a load, 4
 /// to 12 reach 1 % in about three iterations.
-pub(super) const HELD_STIFFNESS: [f64; 2] = [1.0, 8.0];
+pub(super) const PRESCRIBED_STIFFNESS: [f64; 2] = [1.0, 8.0];
 /// Iterations of the matrix root: for 100 times the identity the relative error is a thousandth.
 const ROOT_ROUNDS: usize = 9;
 
@@ -35,7 +35,7 @@ impl Solver {
     /// Stage: adds the stiffness of contacts, held nodes and hardened tissue to the coarse levels. `expected` includes
     /// contacts that are open but predicted to close.
     pub(super) fn stiffen_levels(&mut self, u: &[Vec3], expected: bool) {
-        let stiffness = HELD_STIFFNESS[usize::from(self.follows_led_nodes())];
+        let stiffness = PRESCRIBED_STIFFNESS[usize::from(self.follows_prescribed_nodes())];
         let (hierarchy, coarse) = (&self.hierarchy, &mut self.coarse);
         coarse.clear_stiffness(hierarchy);
         let mut blocks: Vec<[f32; 6]> = vec![[0.0; 6]; self.contacts.nodes.len()];
@@ -72,8 +72,8 @@ impl Solver {
     }
 
     /// Whether the levels are loaded after led nodes.
-    pub(super) fn follows_led_nodes(&self) -> bool {
-        !self.led_displacements.is_empty() && self.contacts.nodes.is_empty()
+    pub(super) fn follows_prescribed_nodes(&self) -> bool {
+        !self.prescribed_displacements.is_empty() && self.contacts.nodes.is_empty()
     }
 
     /// Loads level 1 with the pull of open contacts that are predicted to close.

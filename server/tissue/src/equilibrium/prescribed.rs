@@ -24,7 +24,9 @@ impl Solver {
         self.fine.outdated |= !self.fine.fixed[n];
         self.fine.fixed[n] = true;
         self.fine.outer_forces = OuterForces::Changed;
-        self.led.entry(node).or_insert(shape.displacement[n]);
+        self.prescribed_from
+            .entry(node)
+            .or_insert(shape.displacement[n]);
         shape.displacement[n] = at;
         self.disturb(shape, &[node]);
         true

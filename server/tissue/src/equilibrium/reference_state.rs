@@ -153,7 +153,7 @@ impl Solver {
         self.fine.rest(&self.hierarchy, reference_state);
         self.coarse.rest();
         self.contacts.rest();
-        self.led.clear();
+        self.prescribed_from.clear();
         self.work_limit = WorkLimit::NONE;
         self.reference = self.reference_force();
         self.report.reactions.clear();

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::active_set::Criteria;
 use super::budget::{Budget, StepReport, relative};
 use super::coarse_level::prolongate_changes;
-use super::coarse_stiffening::HELD_STIFFNESS;
+use super::coarse_stiffening::PRESCRIBED_STIFFNESS;
 use super::contact_smoother::ContactSmoother;
 use super::cycle::{Chebyshev, Effort, Multigrid};
 use super::fine_level::{FineLevel, SetChange, own_stiffness};
@@ -50,7 +50,7 @@ const LAST_STEPS: usize = 3;
 const SHARES: [f64; 2] = [0.01, 2.0];
 /// Initial threshold of a single node, relative to the allowed residual. Once the active set has converged, the
 /// threshold is lowered until all unbalanced nodes together can not exceed the allowed residual.
-pub(super) const FIRST_SHARE: f64 = 0.25;
+pub(super) const INITIAL_THRESHOLD: f64 = 0.25;
 /// Lower bound of the reference residual, in spacings times the stiffness of a node; of full and of quick steps. It
 /// keeps the relative residual defined after a release. No eye sees smaller forces; no hand feels a fifth of them.
 const LEAST: [f64; 2] = [0.1, 0.02];
@@ -90,9 +90,9 @@ pub struct Solver {
     pub(super) report: StepReport,
     pub(super) dirty: bool,
     /// Previous positions of the nodes that were held or moved since the last step.
-    pub(super) led: BTreeMap<u32, Vec3>,
+    pub(super) prescribed_from: BTreeMap<u32, Vec3>,
     /// Their displacements, until the coarse levels have followed.
-    pub(super) led_displacements: Vec<(u32, Vec3)>,
+    pub(super) prescribed_displacements: Vec<(u32, Vec3)>,
     pub(super) last_forces: Vec<Vec3>,
     /// Quick steps since the topology changed or since a full solve; `None` once settled.
     pub(super) settling: Option<usize>,
@@ -219,7 +219,7 @@ impl Solver {
         self.report.iterations = 0;
         self.report.steady = true;
         self.report.visits = [0; 2];
-        self.report.fell_back = false;
+        self.report.rolled_back = false;
         if !changed && self.report.lag_m == 0.0 && self.report.residual <= budget.tolerance {
             self.settle(budget.tolerance);
             return &self.report;
@@ -235,15 +235,15 @@ impl Solver {
         let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
         let u = &mut shape.displacement;
         let by = |(&node, from): (&u32, &Vec3)| (node, u[node as usize] - from);
-        self.led_displacements = self.led.iter().map(by).collect();
-        self.led.clear();
+        self.prescribed_displacements = self.prescribed_from.iter().map(by).collect();
+        self.prescribed_from.clear();
         let lags = self.apply_warm_start(topology, u);
         self.iterate(topology, u, lags, quick, &mut budget);
         if !self.is_sane(topology, &shape.displacement) {
             self.fine.undo(&self.hierarchy, &mut shape.displacement);
             let own = std::mem::take(&mut self.fine.own);
             self.restart(topology, own);
-            self.report.fell_back = true;
+            self.report.rolled_back = true;
         } else if !budget.near {
             self.prolongate_changes(shape, if quick { UNSEEN_M } else { 0.0 });
             if !quick {
@@ -270,7 +270,7 @@ impl Solver {
         }
         self.coarse.follows = self.contacts.proxies.is_empty();
         self.fine.limit_moves(&self.hierarchy, quick);
-        let mut share = FIRST_SHARE;
+        let mut share = INITIAL_THRESHOLD;
         let jumped = lags;
         // The contact stiffness on the coarse levels belongs to earlier contacts.
         let mut outdated = true;
@@ -287,9 +287,9 @@ impl Solver {
             let last = if budget.tolerance < PROVEN {
                 0.5 / (self.fine.unbalanced_count() as f64 + 1.0).sqrt()
             } else if budget.tolerance < QUICK {
-                FIRST_SHARE * DEEPEN
+                INITIAL_THRESHOLD * DEEPEN
             } else {
-                FIRST_SHARE
+                INITIAL_THRESHOLD
             };
             share = share.max(last);
             let sum = self.choose_active_set(u, share * allowed, quick);
@@ -478,14 +478,14 @@ impl Solver {
         if quick && !self.uses(Mechanism::PreSmoothing) {
             effort.before = 0;
         }
-        let follows_led_nodes = self.follows_led_nodes();
-        let led_displacements = std::mem::take(&mut self.led_displacements);
-        if follows_led_nodes {
+        let follows_prescribed_nodes = self.follows_prescribed_nodes();
+        let prescribed_displacements = std::mem::take(&mut self.prescribed_displacements);
+        if follows_prescribed_nodes {
             self.fine.restrict_outer(&self.hierarchy, &mut self.coarse);
             // A single displaced node is a spike that no coarse level represents, so a load moves the levels after the
             // node.
-            for (node, by) in led_displacements {
-                let force = by * (HELD_STIFFNESS[1] * self.fine.own[node as usize]);
+            for (node, by) in prescribed_displacements {
+                let force = by * (PRESCRIBED_STIFFNESS[1] * self.fine.own[node as usize]);
                 self.coarse.load_node(&self.hierarchy, node, &force);
             }
         } else {

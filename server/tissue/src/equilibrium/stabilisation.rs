@@ -114,7 +114,7 @@ impl<S: Simd> Group<S> {
 
     /// Extension of the spring beyond its limit in m, above zero.
     #[inline(always)]
-    fn led_displacements(&self, simd: S, limit: f32) -> V<S> {
+    fn prescribed_displacements(&self, simd: S, limit: f32) -> V<S> {
         self.length - V::all(simd, limit) * self.rest_length
     }
 }
@@ -138,7 +138,7 @@ pub(crate) fn stabilised_forces<S: Simd>(
                 let k = V::load(simd, &form.stiffness[direction], from);
                 let mut t = s.tension(simd, form, k);
                 let [least, most] = form.curve.limits;
-                let (long, guarded) = (s.led_displacements(simd, most), s.guarded(simd));
+                let (long, guarded) = (s.prescribed_displacements(simd, most), s.guarded(simd));
                 let pressed = Stabilisation::sets_in(simd, least, s.length, s.rest_length);
                 // Rare and expensive: two roots and a division are the cost of an ordinary spring.
                 let unusual = k.where_above_zero(pressed.max(long).max(guarded));
@@ -190,7 +190,7 @@ pub(crate) fn stabilised_tangents<S: Simd>(
                 let plain = plain * all(SINGLE);
                 let [least, most] = form.curve.limits;
                 let stiff = s
-                    .led_displacements(simd, most)
+                    .prescribed_displacements(simd, most)
                     .where_above_zero(all(EXTREME) * plain);
                 let floor = s.floor(simd, per_spacing);
                 let turning = all(1.0) - s.rest_length / s.length;

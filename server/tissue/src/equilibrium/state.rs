@@ -16,7 +16,7 @@ use super::hierarchy::Hierarchy;
 use super::mechanism::{Disabled, Mechanism};
 use super::quad::laid_out;
 use super::reference_state::ReferenceState;
-use super::solver::{FIRST_SHARE, QUICK, Solver};
+use super::solver::{INITIAL_THRESHOLD, QUICK, Solver};
 use super::work_limit::WorkLimit;
 use crate::contact::{Contacts, Proxy};
 use crate::{CutOutcome, Shape, StepReport, Topology, Vec3};
@@ -128,7 +128,7 @@ impl Solver {
         if !self.uses(Mechanism::Settling) {
             return;
         }
-        let threshold = (FIRST_SHARE * QUICK * self.reference) as f32;
+        let threshold = (INITIAL_THRESHOLD * QUICK * self.reference) as f32;
         let FineLevel {
             unbalanced,
             below_threshold,
@@ -180,8 +180,8 @@ impl Solver {
             has_started: false,
             report: StepReport::default(),
             dirty: false,
-            led: BTreeMap::new(),
-            led_displacements: Vec::new(),
+            prescribed_from: BTreeMap::new(),
+            prescribed_displacements: Vec::new(),
             last_forces: Vec::new(),
             settling: None,
             quick_steps: 0,

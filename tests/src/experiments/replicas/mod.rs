@@ -172,7 +172,7 @@ fn session(
         model,
         scripts,
         motion_only: false,
-        onlookers: 0,
+        thin_spectator_count: 0,
         profile,
         seed: base.wrapping_mul(1_000_003).wrapping_add(seed),
         compensation: CompensationSettings {

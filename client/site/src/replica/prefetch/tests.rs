@@ -160,8 +160,8 @@ impl Bench {
         while let Some(order) = self.site.poll_cut_order() {
             self.prefetch.order(order);
         }
-        while let Some(news) = self.site.poll_view_news() {
-            if let crate::ViewNews::Cut(cut) = news {
+        while let Some(news) = self.site.poll_view_update() {
+            if let crate::ViewUpdate::Cut(cut) = news {
                 self.view.take(*cut);
             }
         }

@@ -8,7 +8,7 @@ use super::super::rates::Rate;
 use super::super::{Drive, Encoder, FiveDof, Port, PortFault, Rig, RigConfig, Six, invented};
 use super::middle;
 use crate::backend::sim::ScriptStart;
-use crate::script::{Hand, Tool, WayPoint};
+use crate::script::{Hand, Tool, Waypoint};
 use crate::{
     Calibration, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Rejection, Sample,
     Script, Wrench, Written, conformance,
@@ -20,11 +20,11 @@ fn at(us: i64) -> DeviceTime {
 
 fn script(turn: UnitQuaternion<f64>, to: Vector3<f64>) -> Script {
     let tool = Tool::probe(4e-3);
-    let ways = vec![
-        WayPoint::new(0.0, middle()).turned(turn),
-        WayPoint::new(1.0, to).turned(turn).linear(),
+    let waypoints = vec![
+        Waypoint::new(0.0, middle()).turned(turn),
+        Waypoint::new(1.0, to).turned(turn).linear(),
     ];
-    Script::new(tool, Hand::default(), ways, false).unwrap()
+    Script::new(tool, Hand::default(), waypoints, false).unwrap()
 }
 
 fn rig(script: Script) -> Rig {
@@ -261,7 +261,7 @@ fn a_pulled_cable_stops_the_motors_and_is_reported() {
 }
 
 #[test]
-fn torques_beyond_the_motor_limit_are_reduced_and_counted() {
+fn torques_beyond_the_motor_limit_are_reduced() {
     let mut weak = invented();
     weak.drive = Drive {
         torque_per_volt_nm: 0.02,
