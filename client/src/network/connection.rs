@@ -156,6 +156,10 @@ impl<'a> Connection<'a> {
     fn take_joined(&mut self, joined: Joined) -> Option<ClientHandle> {
         match joined {
             Ok((handle, welcome)) => {
+                // A request for the whole log that waits must not outlive a welcome that brings it.
+                while let Ok(why) = self.resync.try_recv() {
+                    self.reconnector.handle_resync(why, monotonic_now());
+                }
                 self.reconnector.handle_welcome(welcome, monotonic_now());
                 return Some(handle);
             }

@@ -220,15 +220,21 @@ impl Reconnector {
         }
     }
 
-    /// Reconnects at once for the whole log, because the replica differs.
+    /// Requests the whole log, because the replica differs: reconnects at once if connected; otherwise the next attempt
+    /// requests it.
     pub fn handle_resync(&mut self, why: String, now: ClientTime) {
-        if !self.is_connected() {
-            self.resync_reason = Some(why);
-            return;
-        }
         self.seat.next_operation = OperationId(0);
         self.seat.topology_version = 0;
         self.seat.topology_hash = TopologyHash(0);
+        match &self.state {
+            State::Connected { .. } => {}
+            State::Away(outage) => {
+                // The present attempt has requested a part of the log.
+                self.resync_reason = outage.is_connecting.then_some(why);
+                return;
+            }
+            State::Ended => return,
+        }
         self.actions.push_back(Action::Disconnect);
         self.connect(Outage::new(why, now), now);
     }

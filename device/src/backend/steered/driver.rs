@@ -112,7 +112,7 @@ fn run(
         match source.listen(PATIENCE) {
             Ok(SourceEvent::Quiet) => {}
             Ok(SourceEvent::Controls(controls)) if controls.is_finite() => {
-                publisher.publish(controls)
+                publisher.publish(controls);
             }
             Ok(SourceEvent::Controls(_) | SourceEvent::Garbled) => publisher.garbled(),
             Err(DeviceLost) => {

@@ -95,7 +95,7 @@ impl Body {
         }
         let mut winding = Winding::default();
         hits(LineSide::Both, &mut |turn, before| {
-            winding.add(turn, before)
+            winding.add(turn, before);
         });
         winding.is_inside()
     }

@@ -127,6 +127,10 @@ fn run(from: &str, what: &str) -> &'static str {
         "the delay passes" => machine.handle_timeout(at(250)),
         "60 s pass" => machine.handle_timeout(at(60_000)),
         "a welcome" => machine.handle_welcome(welcome(5), at(300)),
+        "a welcome to a part of the log after the replica differed" => {
+            machine.handle_resync("a test".to_owned(), at(260));
+            machine.handle_welcome(welcome(5), at(300));
+        }
         "no answer for 4 s" => machine.handle_timeout(at(4250)),
         "the attempt fails" => machine.handle_failure("a test".to_owned(), at(300)),
         "the seat is refused" => machine.handle_refusal("a test".to_owned()),
@@ -226,6 +230,16 @@ fn resync_asks_for_the_whole_log_once() {
     machine.handle_welcome(welcome(0), at(350));
     assert_eq!(state_of(&machine), "Connected");
     assert_eq!(position_asked(&mut machine), None);
+}
+
+#[test]
+fn attempt_after_a_resync_without_connection_asks_for_the_whole_log() {
+    let mut machine = lost();
+    machine.handle_resync("it drifts".to_owned(), at(100));
+    machine.handle_timeout(at(250));
+    assert_eq!(position_asked(&mut machine), Some(0));
+    machine.handle_welcome(welcome(0), at(300));
+    assert_eq!(state_of(&machine), "Connected");
 }
 
 #[test]
