@@ -112,7 +112,7 @@ impl Room {
             let requirement = Span::from_micros(path.requirement(&path_delays));
             match participant.demotion.handle_wanted(requirement, now) {
                 Some(DemotionDecision::Demote { wanted, cap }) => {
-                    self.demote(path.who, wanted, cap, now)
+                    self.demote(path.who, wanted, cap, now);
                 }
                 Some(DemotionDecision::Restore) => self.restore(path.who, now),
                 None => {}
