@@ -163,12 +163,11 @@ impl ReplicaLoop {
     fn run(&mut self, stop: &AtomicBool, mut budget: CpuBudget) {
         let mut deadline = monotonic_now();
         let mut charged = worked();
-        let period = match self.inputs.hand {
-            Some(_) => HAPTIC_PERIOD,
-            None => {
-                let half_a_tick = Span::from_micros(500_000 / self.inputs.site.tick_hz().max(1));
-                half_a_tick.clamp(HAPTIC_PERIOD, VIEW_POLL_PERIOD_MAX)
-            }
+        let period = if self.inputs.hand.is_some() {
+            HAPTIC_PERIOD
+        } else {
+            let half_a_tick = Span::from_micros(500_000 / self.inputs.site.tick_hz().max(1));
+            half_a_tick.clamp(HAPTIC_PERIOD, VIEW_POLL_PERIOD_MAX)
         };
         while !stop.load(Ordering::Acquire) {
             if self.ending.is_none() {
