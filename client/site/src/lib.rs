@@ -30,6 +30,8 @@
 mod connection;
 mod replica;
 mod site;
+#[cfg(test)]
+mod test_support;
 mod tools;
 
 pub use connection::{Action, ConnectionStatus, Farewell, Reconnector};

@@ -127,7 +127,7 @@ impl LoadTest<'_> {
             troubles.push("not all participants joined within 10 s of simulated time".to_owned());
         }
         let links = &simulation.links;
-        let bytes = [Direction::Up, Direction::Down].map(|d| links.logged_bytes(d, n));
+        let bytes = [Direction::Up, Direction::Down].map(|d| links.bytes_sent(d, n));
         Ok(LoadTestResult {
             rounds: simulation.host.into_rounds(),
             seconds: self.seconds,

@@ -147,6 +147,8 @@ struct Flow<P> {
     next_in: u64,
     /// Received segments behind a missing one.
     early: BTreeMap<u64, P>,
+    /// Bytes sent since the log was restarted; the log itself is bounded.
+    bytes: u64,
 }
 
 /// The links of all sites, in virtual time.
@@ -170,6 +172,7 @@ impl<P: Payload> Links<P> {
                 next_out: 0,
                 next_in: 0,
                 early: BTreeMap::new(),
+                bytes: 0,
             })
         };
         Self {
@@ -223,7 +226,9 @@ impl<P: Payload> Links<P> {
                 bytes: u16::try_from(bytes).unwrap_or(u16::MAX),
             });
         }
-        let arrivals = self.flow(seat, direction).path.send(sent_us, bytes);
+        let flow = self.flow(seat, direction);
+        flow.bytes += bytes as u64;
+        let arrivals = flow.path.send(sent_us, bytes);
         let arrival = arrivals.iter().find(|a| a.corrupted.is_none());
         let next_us = match (arrival, &packet) {
             (Some(arrival), _) => arrival.at_us as i64,
@@ -267,16 +272,21 @@ impl<P: Payload> Links<P> {
         }
     }
 
-    /// Empties the packet log.
+    /// Empties the packet log and the byte counts.
     pub(crate) fn restart_log(&mut self) {
         self.log.clear();
+        for flow in self.flows.iter_mut().flatten() {
+            flow.bytes = 0;
+        }
     }
 
     /// Bytes that the first `seats` sites sent or received since the log was restarted, with retransmissions.
-    pub(crate) fn logged_bytes(&self, direction: Direction, seats: usize) -> u64 {
-        let of = |s: &&Sent| s.direction == direction && s.seat < seats;
-        let logged = self.log.iter().filter(of);
-        logged.map(|s| u64::from(s.bytes)).sum()
+    pub(crate) fn bytes_sent(&self, direction: Direction, seats: usize) -> u64 {
+        let index = usize::from(direction == Direction::Down);
+        self.flows[..seats]
+            .iter()
+            .map(|pair| pair[index].bytes)
+            .sum()
     }
 
     /// Takes the logged packets, in order.

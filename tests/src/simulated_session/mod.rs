@@ -203,8 +203,8 @@ impl SimulatedSession<'_> {
             demotions: host.demotions(),
             recordings: trainees.into_iter().map(|t| t.recording).collect(),
             bytes_per_s: BytesPerSecond {
-                up: links.logged_bytes(Direction::Up, trainee_count) as f64 * share,
-                down: links.logged_bytes(Direction::Down, trainee_count) as f64 * share,
+                up: links.bytes_sent(Direction::Up, trainee_count) as f64 * share,
+                down: links.bytes_sent(Direction::Down, trainee_count) as f64 * share,
             },
             sent: links.take_log(),
             seconds,

@@ -18,7 +18,7 @@ use palpate_protocol::handshake::{Hello, Resume, Welcome};
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::{Request, RequestKind};
 use palpate_protocol::session::{ClientEvent, CloseReason};
-use palpate_protocol::{ClientTime, OperationId, Span, TopologyHash};
+use palpate_protocol::{ClientTime, OperationId, RequestId, Span, TopologyHash};
 
 use super::requests::{Requests, is_felt};
 
@@ -109,6 +109,9 @@ pub struct Reconnector {
     state: State,
     /// Whether the site counts the link as lost.
     is_link_lost: bool,
+    /// The last request before an absence that was too long to repeat it. It and earlier ones are lost unless the
+    /// missing log answers them.
+    given_up: Option<RequestId>,
     /// A resync that was requested without a connection.
     resync_reason: Option<String>,
     status: ConnectionStatus,
@@ -126,6 +129,7 @@ impl Reconnector {
             delay: DelaySchedule::new(&welcome.compensation),
             state: State::Connected { silent_until: None },
             is_link_lost: false,
+            given_up: None,
             resync_reason: None,
             status: ConnectionStatus::default(),
             actions: VecDeque::new(),
@@ -177,6 +181,11 @@ impl Reconnector {
                 self.is_link_lost = false;
             }
             ClientEvent::Operation(operation) => self.note(operation),
+            ClientEvent::CaughtUp => {
+                if let Some(last) = self.given_up.take() {
+                    self.status.requests_lost += self.requests.give_up(last);
+                }
+            }
             _ => {}
         }
         let is_unnoticed =
@@ -319,7 +328,7 @@ impl Reconnector {
         }
         self.status.reconnects += u64::from(self.status.lost.take().is_some());
         if away > REPEAT_WITHIN {
-            self.status.requests_lost += self.requests.give_up();
+            self.given_up = Some(self.requests.last());
         } else {
             let again = self.requests.unanswered().into_iter().map(Action::Send);
             self.actions.extend(again);

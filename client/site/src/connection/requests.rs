@@ -94,11 +94,16 @@ impl Requests {
         self.open.iter().cloned().collect()
     }
 
-    /// Drops all unanswered requests and returns their number.
-    pub(super) fn give_up(&mut self) -> u64 {
-        let lost = self.open.len() as u64;
-        self.open.clear();
-        lost
+    /// Number of the latest request.
+    pub(super) fn last(&self) -> RequestId {
+        self.last
+    }
+
+    /// Drops the unanswered requests up to the number `last` and returns how many they are.
+    pub(super) fn give_up(&mut self, last: RequestId) -> u64 {
+        let before = self.open.len();
+        self.open.retain(|r| r.id > last);
+        (before - self.open.len()) as u64
     }
 }
 
@@ -177,7 +182,7 @@ mod tests {
         requests.number(RequestKind::TopologyReport { version: 0, hash });
         assert_eq!(requests.number(cut()).id, RequestId(2));
         assert_eq!(requests.unanswered().len(), 1);
-        assert_eq!(requests.give_up(), 1);
+        assert_eq!(requests.give_up(requests.last()), 1);
     }
 
     #[test]

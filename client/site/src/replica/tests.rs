@@ -4,24 +4,16 @@ use nalgebra::UnitQuaternion;
 use palpate_protocol::operation::{BladePoint, CutStroke, Operation, OperationKind};
 use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_protocol::{ClientTime, OperationId, ParticipantId, ServerTime};
-use palpate_tissue::{Budget, Material, Model, Vec3, block, cut};
+use palpate_tissue::{Budget, Model, Vec3, cut};
 
 use super::*;
+use crate::test_support::soft_block;
 use crate::tools::tissue_stroke;
 
 const CELL: f64 = 4e-3;
 
 fn tissue() -> Arc<Model> {
-    let material = Material {
-        name: "soft".into(),
-        young_pa: 10e3,
-        density_kg_m3: 1000.0,
-        friction_static: 0.4,
-        friction_dynamic: 0.3,
-        source: "test".into(),
-        ..Material::default()
-    };
-    Arc::new(block([10, 10, 6], CELL, &material, 1))
+    soft_block([10, 10, 6])
 }
 
 fn tool(who: u16, x: f64, depth: f64) -> ToolAt {

@@ -3,8 +3,7 @@
 use super::resync_policy::DRIFT_MAX_M;
 use super::tests::*;
 use super::*;
-
-const DOCUMENT: &str = include_str!("../../../../protocol/STATES.md");
+use crate::test_support::check_transitions;
 
 const STATES: [&str; 4] = ["Same", "Asked", "Applying", "Ended"];
 
@@ -101,19 +100,5 @@ fn run(from: &str, what: &str) -> &'static str {
 
 #[test]
 fn replica_transitions_match_documented_table() {
-    let section = DOCUMENT.split("## Replica\n").nth(1).unwrap();
-    let lines = section.lines().filter(|l| l.starts_with('|')).skip(2);
-    let rows: Vec<Vec<&str>> = lines
-        .map(|l| l.split('|').map(str::trim).collect())
-        .collect();
-    for state in STATES {
-        assert!(
-            rows.iter().any(|r| r[3] == state),
-            "nothing leads to {state}"
-        );
-    }
-    for row in &rows {
-        assert!(STATES.contains(&row[1]), "there is no state {}", row[1]);
-        assert_eq!(run(row[1], row[2]), row[3], "{}, {}", row[1], row[2]);
-    }
+    check_transitions("Replica", &STATES, run);
 }

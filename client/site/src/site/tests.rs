@@ -5,26 +5,17 @@ pub(super) use palpate_protocol::request::RequestRefused;
 use palpate_protocol::tool::ToolKind;
 use palpate_protocol::{Epoch, ModelHash, ModelInfo, Pose, ResumeToken, Role, ToolTrack};
 pub(super) use palpate_protocol::{OperationId, RequestId};
-use palpate_tissue::{Material, block};
 
 use super::resync_policy::DRIFT_MAX_M;
 use super::*;
 pub(super) use crate::replica::Drift;
+use crate::test_support::soft_block;
 
 const ME: ParticipantId = ParticipantId(1);
 const OTHER: ParticipantId = ParticipantId(2);
 
 fn model() -> Arc<Model> {
-    let material = Material {
-        name: "soft".into(),
-        young_pa: 10e3,
-        density_kg_m3: 1000.0,
-        friction_static: 0.4,
-        friction_dynamic: 0.3,
-        source: "test".into(),
-        ..Material::default()
-    };
-    Arc::new(block([6, 6, 4], 4e-3, &material, 1))
+    soft_block([6, 6, 4])
 }
 
 fn tool(kind: ToolKind) -> ToolDescription {

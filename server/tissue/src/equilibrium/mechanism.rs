@@ -107,3 +107,76 @@ impl Solver {
         self.disabled.allows(mechanism)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::{Budget, Material, Shape, Tool, Topology, Vec3, block};
+
+    const CELL: f64 = 4e-3;
+
+    /// Presses and slides; returns the forces and the iterations of every step. `follows` rebuilds the solver before the
+    /// first step, as a cut does.
+    fn press(without: Option<Mechanism>, follows: bool) -> (Vec<Vec3>, Vec<usize>) {
+        let material = Material {
+            young_pa: 10e3,
+            ..Material::default()
+        };
+        let topology = Topology::new(Arc::new(block([16, 16, 8], CELL, &material, 1)));
+        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        if let Some(mechanism) = without {
+            solver.disable(mechanism);
+        }
+        if follows {
+            solver.follow(&topology, &[]);
+        }
+        let step = |k: usize| {
+            let depth = (0.4e-3 * k as f64).min(5e-3);
+            let x = 8.0 * CELL + 0.2e-3 * k as f64;
+            let tool = Tool::ball(1, Vec3::new(x, 8.0 * CELL, 8.0 * CELL + 8e-3 - depth), 8e-3);
+            let budget = Budget {
+                near: true,
+                ..Budget::new(10, 0.025)
+            };
+            let report = solver.step(&topology, &mut shape, &[tool], budget);
+            (report.reactions[0].force, report.iterations)
+        };
+        (1..25).map(step).unzip()
+    }
+
+    #[test]
+    fn names_are_unique() {
+        let names: BTreeSet<&str> = Mechanism::ALL.iter().map(|m| m.name()).collect();
+        assert_eq!(names.len(), Mechanism::ALL.len());
+        assert!(Mechanism::ALL.len() <= 32, "one bit each");
+    }
+
+    #[test]
+    fn disabled_mechanism_changes_the_forces_and_stays_disabled_after_a_cut() {
+        for follows in [false, true] {
+            let (whole, _) = press(None, follows);
+            for mechanism in [
+                Mechanism::WarmStart,
+                Mechanism::PreSmoothing,
+                Mechanism::ContactSmoothing,
+                Mechanism::ContactCaution,
+                Mechanism::ContactStiffness,
+                Mechanism::ReducedStiffness,
+            ] {
+                let (forces, _) = press(Some(mechanism), follows);
+                assert_ne!(whole, forces, "{}", mechanism.name());
+            }
+        }
+    }
+
+    #[test]
+    fn steps_without_the_check_of_steady_forces_make_one_iteration() {
+        let (_, whole) = press(None, false);
+        let (_, once) = press(Some(Mechanism::SteadyForce), false);
+        assert!(whole[3..].iter().any(|&n| n > 1), "{whole:?}");
+        assert!(once[3..].iter().all(|&n| n <= 1), "{once:?}");
+    }
+}

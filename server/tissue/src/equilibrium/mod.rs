@@ -28,15 +28,14 @@
 //! # Performance
 //!
 //! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine. Cube from rest to 1 %: 6.5 ms with
-//! 8,000 nodes, 44 ms with 64,000. A real thigh of 70,000 nodes pressed at 100 mm/s: 1.25 ms per tick (99 % below
-//! 1.6 ms), force error 1.4 % rms, 3.1 % at most; in retreat 1.3 ms (1.7 ms), 6 % rms. With 528,000 nodes: 1.8 ms (2.2 to
-//! 2.5 ms), 7.5 % rms.
+//! 8,000 nodes, 45 ms with 64,000. A real thigh of 70,000 nodes pressed at 100 mm/s: 1.3 ms per tick (99 % below
+//! 1.8 ms), force error 0.8 % rms, 2.4 % at most; withdrawal 1.4 ms (1.9 ms), 2.3 % rms, 12 % at most. With 528,000 nodes:
+//! 2.1 ms (3.2 ms), 6.5 % rms; withdrawal 3.1 ms (5.9 ms), 13 % rms.
 //!
 //! # Limits
 //!
 //! Coarse operators follow hardening but not rotation. Tissue without `bottoms_out` folds from 30 % of a layer's thickness
-//! on. Quick steps are too stiff for a stiff layer over one ten times softer. Nearly incompressible materials (Poisson's
-//! ratio 0.45) converge slowly. A point tool (radius below half a spacing) feels the corners of the mesh, and slips between
+//! on. Nearly incompressible materials (Poisson's ratio 0.45) converge slowly. A point tool (radius below half a spacing) feels the corners of the mesh, and slips between
 //! the samples of a soft surface when it is pressed deeper than its own radius.
 
 // SIMD code must be inlined into the dispatched function.

@@ -1,13 +1,12 @@
 use palpate_protocol::handshake::Subscription;
-use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+use palpate_protocol::operation::{CompensationMode, CompensationSettings, CutStroke};
 use palpate_protocol::request::CutRequest;
 use palpate_protocol::{
     Epoch, Grant, ModelHash, ModelInfo, ParticipantId, ResumeToken, Role, ServerTime,
 };
 
 use super::*;
-
-const DOCUMENT: &str = include_str!("../../../../../protocol/STATES.md");
+use crate::test_support::check_transitions;
 
 const STATES: [&str; 4] = ["Connected", "Waiting", "Connecting", "Ended"];
 
@@ -67,6 +66,22 @@ fn cut() -> RequestKind {
         points: Vec::new(),
         width_m: 0.0,
     })
+}
+
+/// The operation of a cut by this participant.
+fn own_cut(id: u64) -> Operation {
+    Operation {
+        id: OperationId(id),
+        at: ServerTime::ZERO,
+        author: ParticipantId(1),
+        topology_version_before: 0,
+        topology_version_after: 1,
+        hash_after: TopologyHash(0),
+        kind: OperationKind::Cut(CutStroke {
+            points: Vec::new(),
+            width_m: 0.0,
+        }),
+    }
 }
 
 fn actions(machine: &mut Reconnector) -> Vec<Action> {
@@ -141,22 +156,7 @@ fn run(from: &str, what: &str) -> &'static str {
 
 #[test]
 fn reconnect_transitions_match_documented_table() {
-    let section = DOCUMENT.split("## Reconnect\n").nth(1).unwrap();
-    let section = section.split("\n## ").next().unwrap();
-    let lines = section.lines().filter(|l| l.starts_with('|')).skip(2);
-    let rows: Vec<Vec<&str>> = lines
-        .map(|l| l.split('|').map(str::trim).collect())
-        .collect();
-    for state in STATES {
-        assert!(
-            rows.iter().any(|r| r[3] == state),
-            "nothing leads to {state}"
-        );
-    }
-    for row in &rows {
-        assert!(STATES.contains(&row[1]), "there is no state {}", row[1]);
-        assert_eq!(run(row[1], row[2]), row[3], "{}, {}", row[1], row[2]);
-    }
+    check_transitions("Reconnect", &STATES, run);
 }
 
 #[test]
@@ -188,7 +188,27 @@ fn old_requests_are_lost_instead_of_repeated() {
     actions(&mut machine);
     machine.handle_welcome(welcome(5), at(10_001));
     assert!(numbers_sent(&mut machine).is_empty());
+    machine.handle_event(ClientEvent::CaughtUp, at(10_002));
     assert_eq!(machine.status().requests_lost, 1);
+}
+
+#[test]
+fn old_cut_that_the_missing_log_contains_is_not_lost() {
+    let mut machine = connected();
+    machine.handle_request(cut(), true);
+    machine.handle_lost("a test".to_owned(), at(0));
+    machine.handle_timeout(at(250));
+    machine.handle_welcome(welcome(5), at(10_001));
+    machine.handle_request(cut(), true);
+    machine.handle_event(ClientEvent::Operation(own_cut(5)), at(10_002));
+    machine.handle_event(ClientEvent::CaughtUp, at(10_002));
+    assert_eq!(machine.status().requests_lost, 0);
+    // The later cut is still open: a short absence repeats it.
+    machine.handle_lost("a test".to_owned(), at(10_100));
+    machine.handle_timeout(at(10_350));
+    actions(&mut machine);
+    machine.handle_welcome(welcome(6), at(10_400));
+    assert_eq!(numbers_sent(&mut machine), [2]);
 }
 
 #[test]

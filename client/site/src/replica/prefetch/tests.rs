@@ -14,11 +14,12 @@ use palpate_protocol::{
     ClientTime, Epoch, ModelHash, ModelInfo, OperationId, ParticipantId, ResumeToken, Role,
     ServerTime, Span, TopologyHash,
 };
-use palpate_tissue::{Budget, Material, Model, Shape, Solver, Topology, Vec3, block, cut};
+use palpate_tissue::{Budget, Model, Shape, Solver, Topology, Vec3, cut};
 
 use super::super::View;
 use super::*;
 use crate::Site;
+use crate::test_support::soft_block;
 
 const CELL: f64 = 4e-3;
 const ME: ParticipantId = ParticipantId(1);
@@ -27,16 +28,7 @@ const RADIUS_M: f64 = 8e-3;
 const DELAY_MS: i64 = 40;
 
 fn tissue() -> Arc<Model> {
-    let material = Material {
-        name: "soft".into(),
-        young_pa: 10e3,
-        density_kg_m3: 1000.0,
-        friction_static: 0.4,
-        friction_dynamic: 0.3,
-        source: "test".into(),
-        ..Material::default()
-    };
-    Arc::new(block([32, 16, 8], CELL, &material, 1))
+    soft_block([32, 16, 8])
 }
 
 /// Cuts across the block, far from the contact of the hand.
