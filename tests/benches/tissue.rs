@@ -9,8 +9,8 @@ use std::sync::Arc;
 use divan::Bencher;
 use palpate_anatomy::build;
 use palpate_anatomy::sample::Sample;
-use palpate_lab::bench::wound::Wound;
 use palpate_lab::tool_location::ToolLocation;
+use palpate_lab::wound::Wound;
 use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
 
 const MM: f64 = 1e-3;
@@ -98,5 +98,5 @@ fn cut_into_the_thigh(bencher: Bencher<'_, '_>) {
     let place = ToolLocation::find(&topology).unwrap();
     bencher
         .with_inputs(|| (topology.clone(), place.clone()))
-        .bench_refs(|(topology, place)| Wound::open(topology, place).unwrap().doubled);
+        .bench_refs(|(topology, place)| Wound::open(topology, place).unwrap().0.doubled);
 }

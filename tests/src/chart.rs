@@ -6,25 +6,16 @@
 
 use maud::{Markup, html};
 
-/// Width of the image, px.
 const WIDTH: f64 = 960.0;
-/// Width of the plots, px.
 const PLOT_WIDTH: f64 = WIDTH - LEFT - RIGHT;
-/// Height of the plot of one panel, px.
 const PLOT_HEIGHT: f64 = 190.0;
-/// Room above a plot for its title and legend, px.
 const HEAD: f64 = 46.0;
 /// Height of a row of the legend, px; [`HEAD`] has room for one.
 const LEGEND_ROW: f64 = 16.0;
-/// Room below a plot for the numbers of the x axis, px.
 const FOOT: f64 = 24.0;
-/// Room left of the plots, px.
 const LEFT: f64 = 74.0;
-/// Room right of the plots, px.
 const RIGHT: f64 = 24.0;
-/// Room at the top for the chart's title, px.
 const TOP: f64 = 36.0;
-/// Room at the bottom for the label of the x axis, px.
 const BOTTOM: f64 = 30.0;
 /// Columns of the plot for thinning of a line.
 const COLUMNS: usize = 800;
@@ -39,20 +30,13 @@ const CHARACTER: f64 = 6.6;
 
 /// Blue of the colour-blind safe palette of Okabe and Ito (2008).
 pub const BLUE: &str = "#0072b2";
-/// Orange of the palette.
 pub const ORANGE: &str = "#d55e00";
-/// Grey for baselines.
 pub const GREY: &str = "#808080";
-/// Green of the palette.
 pub const GREEN: &str = "#009e73";
-/// Reddish purple of the palette.
 pub const PURPLE: &str = "#cc79a7";
-/// Sky blue of the palette.
 pub const SKY: &str = "#56b4e9";
-/// Black of the palette.
 pub const BLACK: &str = "#000000";
 
-/// One line.
 #[derive(Debug, Clone)]
 pub struct Line {
     /// Legend entry; empty if another line has it.
@@ -63,7 +47,6 @@ pub struct Line {
     dashed: bool,
 }
 
-/// A plot.
 #[derive(Debug, Clone)]
 pub struct Panel {
     title: String,
@@ -73,26 +56,20 @@ pub struct Panel {
     scale: Scale,
 }
 
-/// Scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 enum Scale {
-    /// Linear, including zero.
     #[default]
     Linear,
     /// Logarithmic, for positive values over several decades. Other values are left out.
     Logarithmic,
 }
 
-/// A vertical mark in every panel.
 #[derive(Debug, Clone)]
 pub struct Mark {
-    /// Position on the x axis.
     pub x: f64,
-    /// Label.
     pub label: String,
 }
 
-/// A stack of panels.
 #[derive(Debug, Clone)]
 pub struct Chart {
     title: String,
@@ -101,7 +78,6 @@ pub struct Chart {
     marks: Vec<Mark>,
 }
 
-/// Ticks of an axis.
 #[derive(Debug, Clone, Copy)]
 struct Axis {
     from: f64,
@@ -198,7 +174,6 @@ impl Axis {
 }
 
 impl Chart {
-    /// Panels over a common x axis.
     pub fn new(title: impl Into<String>, x_label: &str, panels: Vec<Panel>) -> Self {
         Self {
             title: title.into(),
@@ -208,14 +183,12 @@ impl Chart {
         }
     }
 
-    /// The chart with these marks.
     #[must_use]
     pub fn with_marks(mut self, marks: Vec<Mark>) -> Self {
         self.marks = marks;
         self
     }
 
-    /// The chart as the text of an SVG file.
     pub fn to_svg(&self) -> String {
         let panels: f64 = self.panels.iter().map(Panel::height).sum();
         let height = TOP + panels + BOTTOM;
@@ -342,14 +315,12 @@ impl Line {
         }
     }
 
-    /// The line dashed if `dashed`.
     #[must_use]
     pub fn dashed(mut self, dashed: bool) -> Self {
         self.dashed = dashed;
         self
     }
 
-    /// Whether it is dashed.
     pub fn is_dashed(&self) -> bool {
         self.dashed
     }

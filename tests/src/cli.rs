@@ -6,9 +6,8 @@ use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use crate::bench::Benchmark;
 use crate::bench::ablate::Ablate;
 use crate::bench::bytes::Bytes;
 use crate::bench::coding::Coding;
@@ -16,7 +15,7 @@ use crate::bench::cuts::CutLoad;
 use crate::bench::haptic_tick::HapticTick;
 use crate::bench::press_cube::PressCube;
 use crate::bench::press_scene::PressScene;
-use crate::bench::reference::ReferenceCost;
+use crate::bench::{Benchmark, OnStage};
 use crate::demo;
 use crate::experiments::{command, run_all};
 use crate::hand;
@@ -30,7 +29,6 @@ use crate::progress::{Interrupt, Progress};
 use crate::relay;
 use crate::stress;
 
-/// The named networks, for `--help`.
 macro_rules! networks {
     () => {
         "\
@@ -44,7 +42,6 @@ Network profiles: none, lan (0.3 ms), metro (5 ms), transatlantic (60 ms one way
 }
 pub(crate) use networks;
 
-/// Text at the end of `--help`.
 const EXAMPLES: &str = concat!(
     "\
 Examples:
@@ -113,7 +110,7 @@ struct Cli {
 enum Command {
     /// Run a session of two trainees and a spectator over a bad network, and report how well it went
     #[command(after_help = demo::command::HELP)]
-    Demo(demo::command::Arguments),
+    Demo(demo::DemoOptions),
     /// Relay UDP packets with delay, loss and reordering
     #[command(after_help = EXAMPLES)]
     Relay(relay::command::Arguments),
@@ -154,8 +151,6 @@ enum Bench {
     Bytes(Box<Measurement<Bytes>>),
     /// Load of a trainee's threads while other trainees cut beside the press
     Cuts(Measurement<CutLoad>),
-    /// Compute the reference of a demo, and compare it with a finer one
-    Reference(Measurement<ReferenceCost>),
     /// Time one tick of the force loop: read, compute, write
     HapticTick(Measurement<HapticTick>),
 }
@@ -170,13 +165,62 @@ struct Measurement<B: Args> {
     json: bool,
 }
 
-impl<B: Benchmark> Measurement<B> {
-    fn run(&self) -> Result<ExitCode, String> {
-        let mut progress = Progress::new();
-        let report = self.benchmark.measure(&mut progress)?;
-        drop(progress);
-        print_report(&report, self.json)
+/// A measurement of any kind; `report` returns the report as JSON and as text.
+trait Measure {
+    fn wants_json(&self) -> bool;
+    fn report(&self, on_stage: &mut OnStage<'_>) -> Result<[String; 2], String>;
+}
+
+impl<B: Benchmark> Measure for Measurement<B> {
+    fn wants_json(&self) -> bool {
+        self.json
     }
+
+    fn report(&self, on_stage: &mut OnStage<'_>) -> Result<[String; 2], String> {
+        self.benchmark.measure(on_stage).map(|r| both_forms(&r))
+    }
+}
+
+impl Bench {
+    fn measurement(&self) -> &dyn Measure {
+        match self {
+            Self::PressCube(measurement) => measurement,
+            Self::PressScene(measurement) => measurement,
+            Self::Coding(measurement) => measurement,
+            Self::Bytes(measurement) => measurement.as_ref(),
+            Self::Cuts(measurement) => measurement,
+            Self::HapticTick(measurement) => measurement,
+        }
+    }
+}
+
+fn measure(measurement: &dyn Measure) -> Result<bool, String> {
+    let mut progress = Progress::new();
+    let report = measurement.report(&mut |what| progress.tick(what))?;
+    drop(progress);
+    print_line(&report[usize::from(!measurement.wants_json())])?;
+    Ok(true)
+}
+
+/// The report of a command line that measures, as JSON and as text.
+pub(crate) fn measured(line: &str, on_stage: &mut OnStage<'_>) -> Result<[String; 2], String> {
+    let cli = Cli::try_parse_from(line.split(' ')).map_err(|e| e.to_string())?;
+    match cli.command {
+        Command::Bench(bench) => bench.measurement().report(on_stage),
+        Command::HapticFaults(arguments) => {
+            let go_on = &mut |what: &str| {
+                on_stage(what);
+                true
+            };
+            arguments.outcome(go_on).map(|outcome| both_forms(&outcome))
+        }
+        _ => Err(format!("\"{line}\" does not measure")),
+    }
+}
+
+fn both_forms(report: &(impl serde::Serialize + std::fmt::Display)) -> [String; 2] {
+    let json = serde_json::to_string(report).expect("a report is plain data");
+    [json, report.to_string()]
 }
 
 #[derive(Debug, Args)]
@@ -195,7 +239,6 @@ struct HapticFaultsArguments {
     output: Option<PathBuf>,
 }
 
-/// Runs the command line `args`, including the program name.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
     // The demo starts this program in its other roles, which are not for users.
@@ -233,21 +276,14 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::List => command::list(),
         Command::All(arguments) => run_all::all(&arguments),
         Command::HapticFaults(arguments) => run_haptic_faults(&arguments),
-        Command::Ablate(measurement) => measurement.run(),
-        Command::Bench(bench) => match bench {
-            Bench::PressCube(measurement) => measurement.run(),
-            Bench::PressScene(measurement) => measurement.run(),
-            Bench::Coding(measurement) => measurement.run(),
-            Bench::Bytes(measurement) => measurement.run(),
-            Bench::Cuts(measurement) => measurement.run(),
-            Bench::Reference(measurement) => measurement.run(),
-            Bench::HapticTick(measurement) => measurement.run(),
-        },
+        Command::Ablate(measurement) => measure(&measurement),
+        Command::Bench(bench) => measure(bench.measurement()),
     };
-    done.unwrap_or_else(|sentence| {
+    let is_good = done.unwrap_or_else(|sentence| {
         note(&format!("palpate-lab: {sentence}"));
-        ExitCode::FAILURE
-    })
+        false
+    });
+    ExitCode::from(u8::from(!is_good))
 }
 
 /// Command line of another role: its program name, and the arguments after the role.
@@ -267,57 +303,58 @@ pub(crate) fn print_line(line: &str) -> Result<(), String> {
     }
 }
 
-/// Writes a line for the user to standard error.
 pub(crate) fn note(line: &str) {
     // A closed standard error is ignored.
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<ExitCode, String> {
-    let interrupt =
-        Interrupt::listen().map_err(|e| format!("cannot install the signal handlers: {e}"))?;
-    let mut progress = Progress::new();
-    let (seeds, of) = match arguments.seed {
-        Some(seed) => (seed..seed.saturating_add(1), 1),
-        None => (0..arguments.seeds, arguments.seeds),
-    };
-    let mut report_progress = |seed: u64, outcome: &Outcome| {
-        if seed.is_multiple_of(16) {
-            let (runs, failed) = (outcome.runs, outcome.failed());
-            progress.tick(&format!("{runs} of {of} runs, {failed} broke a law"));
-        }
-        !interrupt.is_set()
-    };
-    let setup = Setup::default();
-    let outcome =
-        haptic_faults::all(seeds, &setup, &mut report_progress).map_err(|e| e.to_string())?;
-    drop(progress);
-    if outcome.runs < of {
-        return Err(format!("interrupted after {} of {of} runs", outcome.runs));
+impl HapticFaultsArguments {
+    fn seeds(&self) -> std::ops::Range<u64> {
+        let one = |seed: u64| seed..seed.saturating_add(1);
+        self.seed.map_or(0..self.seeds, one)
     }
-    print_report(&outcome, arguments.json)?;
+
+    /// Runs all seeds; `go_on` receives the progress and returns whether to continue.
+    fn outcome(&self, go_on: &mut dyn FnMut(&str) -> bool) -> Result<Outcome, String> {
+        let seeds = self.seeds();
+        let of = seeds.end - seeds.start;
+        let mut each = |seed: u64, outcome: &Outcome| {
+            let (runs, failed) = (outcome.runs, outcome.failed());
+            !seed.is_multiple_of(16) || go_on(&format!("{runs} of {of} runs, {failed} broke a law"))
+        };
+        let setup = Setup::default();
+        let outcome = haptic_faults::all(seeds, &setup, &mut each).map_err(|e| e.to_string())?;
+        if outcome.runs < of {
+            return Err(format!("interrupted after {} of {of} runs", outcome.runs));
+        }
+        Ok(outcome)
+    }
+}
+
+fn run_haptic_faults(arguments: &HapticFaultsArguments) -> Result<bool, String> {
+    let interrupt = Interrupt::listen()?;
+    let mut progress = Progress::new();
+    let outcome = arguments.outcome(&mut |what| {
+        progress.tick(what);
+        !interrupt.is_set()
+    })?;
+    drop(progress);
+    print_line(&both_forms(&outcome)[usize::from(!arguments.json)])?;
     if let Some(seed) = arguments.seed
         && !arguments.json
     {
         print_details(seed)?;
     }
     if let Some(dir) = &arguments.output {
-        let classes = Class::ALL.len() as u64;
-        let shown = arguments
-            .seed
-            .map_or(0..classes.min(of), |seed| seed..seed.saturating_add(1));
-        for seed in shown {
+        let classes = Class::value_variants().len();
+        for seed in arguments.seeds().take(classes) {
             let result = kept(seed)?;
             let name = run_plot::write(&result, dir)
                 .map_err(|e| format!("{} can not be written: {e}", dir.display()))?;
             note(&dir.join(name).display().to_string());
         }
     }
-    Ok(if outcome.ok {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::FAILURE
-    })
+    Ok(outcome.ok)
 }
 
 /// The runs of a seed with every tick recorded.
@@ -329,7 +366,6 @@ fn kept(seed: u64) -> Result<SeedResult, String> {
     SeedResult::of(seed, &setup).map_err(|e| e.to_string())
 }
 
-/// Prints all details of one seed.
 fn print_details(seed: u64) -> Result<(), String> {
     let result = kept(seed)?;
     let (plan, tissue) = (&result.plan, &result.plan.tissue);
@@ -350,19 +386,6 @@ fn print_details(seed: u64) -> Result<(), String> {
         "afterwards at most {:.2} N, without the fault {:.2} N; {:?}",
         result.faulty.force_after_n, result.fault_free.force_after_n, result.faulty.counters
     ))
-}
-
-/// Prints a report as text or as one JSON object.
-fn print_report(
-    report: &(impl serde::Serialize + std::fmt::Display),
-    json: bool,
-) -> Result<ExitCode, String> {
-    if json {
-        print_line(&serde_json::to_string(report).expect("a report is plain data"))?;
-    } else {
-        print_line(&report.to_string())?;
-    }
-    Ok(ExitCode::SUCCESS)
 }
 
 #[cfg(test)]

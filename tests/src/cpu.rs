@@ -11,9 +11,7 @@ pub struct CpuRow {
     /// The process: "server" or a participant's name.
     #[serde(default)]
     pub process: String,
-    /// Total of all threads.
     pub cores: f64,
-    /// Per class of threads.
     pub classes: BTreeMap<String, f64>,
 }
 
@@ -27,7 +25,6 @@ pub fn cpu_of(process: &str, summary: &impl Serialize) -> Option<CpuRow> {
     })
 }
 
-/// Text table of CPU rows.
 pub struct CpuTable<'a>(pub &'a [CpuRow]);
 
 impl fmt::Display for CpuTable<'_> {

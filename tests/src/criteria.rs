@@ -8,7 +8,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::report::{ParticipantReport, Report};
 
-/// Maximum error of the contact force, percent rms.
 pub const FORCE_ERROR_PERCENT: f64 = 10.0;
 
 /// Maximum dropout, ms; without and with busy processes beside the session.
@@ -26,30 +25,22 @@ pub const REFERENCE_ERROR_PERCENT: f64 = 5.0;
 /// Maximum distance of a cut from that of the reference, mm: half the finest lattice spacing in use.
 pub const CUT_APART_MM: f64 = 2.0;
 
-/// Side of a limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Bound {
-    /// Not above it.
     AtMost,
-    /// Not below it.
     AtLeast,
 }
 
-/// A figure and its limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Criterion {
-    /// The figure.
     pub criterion: String,
     /// Its value; `None` if missing.
     pub value: Option<f64>,
-    /// Its limit.
     pub limit: f64,
-    /// The side of the limit.
     pub bound: Bound,
     /// The unit of both; empty for counts.
     pub unit: String,
-    /// Whether the figure exists and is within its limit.
     pub ok: bool,
 }
 
@@ -76,15 +67,6 @@ impl Criterion {
             ok,
         }
     }
-
-    fn at_most(criterion: impl Into<String>, value: Option<f64>, limit: f64, unit: &str) -> Self {
-        Self::new(criterion, value, Bound::AtMost, limit, unit)
-    }
-
-    /// A count that must be zero.
-    fn none_of(criterion: impl Into<String>, count: Option<u64>) -> Self {
-        Self::at_most(criterion, count.map(|n| n as f64), 0.0, "")
-    }
 }
 
 impl fmt::Display for Criterion {
@@ -107,7 +89,6 @@ impl fmt::Display for Criterion {
     }
 }
 
-/// A number with as many digits as it needs.
 struct Short(f64);
 
 impl fmt::Display for Short {
@@ -121,12 +102,9 @@ impl fmt::Display for Short {
     }
 }
 
-/// Expected figures of a session.
 #[derive(Debug, Clone, Copy)]
 pub struct Expected<'a> {
-    /// Names of the trainees.
     pub trainees: &'a [&'a str],
-    /// Names of all other participants.
     pub others: &'a [&'a str],
     /// Strokes of the blade in the scripts; each one is a cut.
     pub strokes: u64,
@@ -136,136 +114,101 @@ pub struct Expected<'a> {
     pub is_covered: bool,
 }
 
-/// All criteria of a report, the most important first.
 pub fn judge(report: &Report, expected: &Expected<'_>) -> Vec<Criterion> {
-    let mut table = Vec::new();
+    let mut judged = Judged::default();
     for name in expected.trainees {
-        hand(report, name, &mut table);
+        judged.hand(report, name);
     }
-    shared(report, expected, &mut table);
-    complete(report, expected, &mut table);
-    table
+    judged.shared(report, expected);
+    judged.complete(report, expected);
+    judged.0
+}
+
+/// The criteria judged so far.
+#[derive(Default)]
+struct Judged(Vec<Criterion>);
+
+impl Judged {
+    fn at_most(&mut self, what: impl Into<String>, value: Option<f64>, limit: f64, unit: &str) {
+        let criterion = Criterion::new(what, value, Bound::AtMost, limit, unit);
+        self.0.push(criterion);
+    }
+
+    /// A count that must be zero.
+    fn none_of(&mut self, what: &str, count: Option<u64>) {
+        self.at_most(what, count.map(|n| n as f64), 0.0, "");
+    }
+
+    fn hand(&mut self, report: &Report, name: &str) {
+        let limit_ms = DROPOUT_MS[usize::from(report.stress > 0)];
+        let p = find(report, name);
+        let error = p.and_then(|p| p.force_error_rms);
+        let dropout = p.and_then(|p| p.dropouts.as_ref()).map(|d| d.longest_ms);
+        let force = p.map(|p| p.summary.force_max_n);
+        let gap = p.and_then(|p| p.recording_gap_ms);
+        let of = |what: &str| format!("{what} {name}");
+        self.at_most(of("force error of the"), error, FORCE_ERROR_PERCENT, "%");
+        self.at_most(of("longest dropout of the"), dropout, limit_ms, "ms");
+        let touches = of("largest force on the");
+        let touches = Criterion::new(touches, force, Bound::AtLeast, TOUCH_N, "N");
+        self.0.push(touches);
+        let recorded = of("longest gap in the recorded force of the");
+        self.at_most(recorded, gap, limit_ms, "ms");
+    }
+
+    fn shared(&mut self, report: &Report, expected: &Expected<'_>) {
+        let participants = &report.participants;
+        if let Some(limit_ms) = expected.delay_limit_ms {
+            let largest = report.delay.map(|d| d.max_ms);
+            self.at_most("largest playout delay D", largest, limit_ms, "ms");
+        }
+        if expected.is_covered {
+            let demoted = participants.iter().map(|p| p.summary.demotions).sum();
+            let demotions = report.server.demotions.max(demoted);
+            self.none_of("demotions to spectator", Some(demotions));
+        }
+        let arrived = participants.iter().map(|p| p.summary.cuts).min();
+        let arrived = arrived.map(|n| n.min(report.cut.operations));
+        let lost = arrived.map(|n| expected.strokes.saturating_sub(n));
+        self.none_of("lost cuts", lost);
+        let server = &report.server.topology_hash;
+        let hashes = participants.iter().map(|p| &p.summary.topology_hash);
+        let differ = hashes.filter(|hash| *hash != server).count() as u64;
+        let differ = (!participants.is_empty()).then_some(differ);
+        self.none_of("topologies that differ from the server's", differ);
+        let open = u64::from(!report.cut.boundary_closed);
+        self.none_of("open outer surfaces", Some(open));
+    }
+
+    fn complete(&mut self, report: &Report, expected: &Expected<'_>) {
+        let everyone = || expected.trainees.iter().chain(expected.others).copied();
+        let died = report.problems.len() as u64;
+        self.none_of("processes that died", Some(died));
+        let silent = everyone().filter(|name| find(report, name).is_none());
+        let silent = silent.count() as u64;
+        self.none_of("participants without figures", Some(silent));
+        let participants = &report.participants;
+        let dropped = participants.iter().map(|p| p.records_dropped).sum();
+        let dropped = (!participants.is_empty()).then_some(dropped);
+        self.none_of("records dropped from full recordings", dropped);
+        let is_unmeasured = |name: &&str| !report.cpu.iter().any(|row| row.process == *name);
+        let unmeasured = everyone().chain([SERVER]).filter(is_unmeasured);
+        let unmeasured = unmeasured.count() as u64;
+        self.none_of("processes without CPU figures", Some(unmeasured));
+        let quality = report.reference.as_ref().map(|r| r.quality);
+        let residual = quality.map(|q| q.residual_max);
+        self.at_most("largest residual of the reference", residual, RESIDUAL, "");
+        let what = "distance of a cut from the reference's";
+        let apart = report.reference.as_ref().map(|r| r.cut_apart_mm);
+        self.at_most(what, apart, CUT_APART_MM, "mm");
+        let what = "estimated error of the reference";
+        let error = quality.map(|q| q.error_percent.into_iter().fold(0.0, f64::max));
+        self.at_most(what, error, REFERENCE_ERROR_PERCENT, "%");
+    }
 }
 
 fn find<'a>(report: &'a Report, name: &str) -> Option<&'a ParticipantReport> {
-    report.participants.iter().find(|p| p.name == name)
-}
-
-/// Criteria of the force on one trainee.
-fn hand(report: &Report, name: &str, table: &mut Vec<Criterion>) {
-    let longest_ms = DROPOUT_MS[usize::from(report.stress > 0)];
-    let p = find(report, name);
-    let dropouts = p.and_then(|p| p.dropouts.as_ref());
-    table.extend([
-        Criterion::at_most(
-            format!("force error of the {name}"),
-            p.and_then(|p| p.force_error_rms),
-            FORCE_ERROR_PERCENT,
-            "%",
-        ),
-        Criterion::at_most(
-            format!("longest dropout of the {name}"),
-            dropouts.map(|d| d.longest_ms),
-            longest_ms,
-            "ms",
-        ),
-        Criterion::new(
-            format!("largest force on the {name}"),
-            p.map(|p| p.summary.force_max_n),
-            Bound::AtLeast,
-            TOUCH_N,
-            "N",
-        ),
-        Criterion::at_most(
-            format!("longest gap in the recorded force of the {name}"),
-            p.and_then(|p| p.recording_gap_ms),
-            longest_ms,
-            "ms",
-        ),
-    ]);
-}
-
-/// Criteria of the whole session.
-fn shared(report: &Report, expected: &Expected<'_>, table: &mut Vec<Criterion>) {
-    let participants = &report.participants;
-    if let Some(limit_ms) = expected.delay_limit_ms {
-        let largest = report.delay.map(|d| d.max_ms);
-        table.push(Criterion::at_most(
-            "largest playout delay D",
-            largest,
-            limit_ms,
-            "ms",
-        ));
-    }
-    if expected.is_covered {
-        let demoted = participants.iter().map(|p| p.summary.demotions).sum();
-        let demotions = report.server.demotions.max(demoted);
-        table.push(Criterion::none_of(
-            "demotions to spectator",
-            Some(demotions),
-        ));
-    }
-    let arrived = participants.iter().map(|p| p.summary.cuts);
-    let arrived = arrived.min().map(|n| n.min(report.cut.operations));
-    let lost = arrived.map(|n| expected.strokes.saturating_sub(n));
-    table.push(Criterion::none_of("lost cuts", lost));
-    let server = &report.server.topology_hash;
-    let differ = participants.iter().filter(|p| p.topology_hash != *server);
-    let differ = (!participants.is_empty()).then_some(differ.count() as u64);
-    table.push(Criterion::none_of(
-        "topologies that differ from the server's",
-        differ,
-    ));
-    let is_open = !report.cut.boundary_closed;
-    table.push(Criterion::none_of(
-        "open outer surfaces",
-        Some(u64::from(is_open)),
-    ));
-}
-
-/// Criteria of completeness.
-fn complete(report: &Report, expected: &Expected<'_>, table: &mut Vec<Criterion>) {
-    let everyone = || expected.trainees.iter().chain(expected.others);
-    let count = |is_missing: &dyn Fn(&str) -> bool| {
-        Some(everyone().filter(|name| is_missing(name)).count() as u64)
-    };
-    let reference = report.reference.as_ref();
-    let largest = |v: [f64; 2]| v.into_iter().fold(0.0, f64::max);
-    table.extend([
-        Criterion::none_of("processes that died", Some(report.problems.len() as u64)),
-        Criterion::none_of(
-            "participants without figures",
-            count(&|name| find(report, name).is_none()),
-        ),
-        Criterion::none_of(
-            "records dropped from full recordings",
-            (!report.participants.is_empty())
-                .then(|| report.participants.iter().map(|p| p.records_dropped).sum()),
-        ),
-        Criterion::none_of(
-            "processes without CPU figures",
-            count(&|name| !report.cpu.iter().any(|row| row.process == name))
-                .map(|n| n + u64::from(!report.cpu.iter().any(|row| row.process == SERVER))),
-        ),
-        Criterion::at_most(
-            "largest residual of the reference",
-            reference.map(|r| r.residual_max),
-            RESIDUAL,
-            "",
-        ),
-        Criterion::at_most(
-            "distance of a cut from the reference's",
-            reference.map(|r| r.cut_apart_mm),
-            CUT_APART_MM,
-            "mm",
-        ),
-        Criterion::at_most(
-            "estimated error of the reference",
-            reference.map(|r| largest(r.error_percent)),
-            REFERENCE_ERROR_PERCENT,
-            "%",
-        ),
-    ]);
+    report.participants.iter().find(|p| p.summary.name == name)
 }
 
 /// Name of the server in the CPU table.

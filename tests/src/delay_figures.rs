@@ -22,9 +22,7 @@ pub const DEVIATIONS: f64 = 4.0;
 /// D during the scripts, over the views of all participants.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DelayFigures {
-    /// Median, ms.
     pub median_ms: f64,
-    /// Maximum, ms.
     pub max_ms: f64,
 }
 
@@ -85,7 +83,7 @@ mod tests {
     #[test]
     fn maximum_delay_covers_all_but_the_longest_and_broken_networks() {
         for name in Profile::names() {
-            let expected = !["satellite", "outages"].contains(name);
+            let expected = !["satellite", "outages"].contains(&name);
             assert_eq!(is_covered(&named(name)), expected, "{name}");
         }
     }

@@ -6,6 +6,7 @@ pub(crate) mod command;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use clap::Args;
 use maud::{DOCTYPE, PreEscaped, html};
 use palpate_client::Recording;
 use palpate_device::Script;
@@ -24,11 +25,11 @@ use crate::plots::{self, TraineeForces};
 use crate::progress::{Interrupt, Progress};
 use crate::reference::{self, Reference};
 use crate::relay::{Profile, RelayStats};
-use crate::report::{CutReport, ParticipantReport, ReferenceReport, Report, ServerReport};
-use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts, ScriptsError};
+use crate::report::{CutReport, ParticipantReport, ReferenceReport, Report};
+use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
 use crate::session::{Hosting, Participant, ParticipantResult, Session, SessionError};
-use crate::stress::Stress;
-use crate::test_model::{TestModel, TestModelError};
+use crate::stress::{PROCESSES_MAX, Stress};
+use crate::test_model::TestModel;
 
 /// Time from the last join to the start of the scripts, as in the room.
 const START_LEAD: Duration = Duration::from_secs(1);
@@ -42,27 +43,39 @@ const NAMES: [&str; 2] = ["holder", "cutter"];
 /// The late participant.
 const LATE_NAME: &str = "spectator";
 
-/// Options of a demo.
-#[derive(Debug, Clone)]
+/// Options of `demo`.
+#[derive(Debug, Clone, Args)]
 pub struct DemoOptions {
     /// The laboratory program, which plays all roles.
+    #[arg(skip)]
     pub executable: PathBuf,
-    /// Sample, scene or model file.
+    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
+    #[arg(long, default_value = "thigh")]
     pub model: String,
-    /// Length of the scripts, s.
+    /// Length of the scripts, 4 to 600 s
+    #[arg(long, default_value_t = 20.0, value_name = "S")]
     pub seconds: f64,
-    /// The network.
+    /// The network between server and clients
+    #[arg(long, default_value = "transatlantic", value_parser = Profile::parse)]
     pub profile: Profile,
-    /// Seed of the packet fates.
+    /// Seed of the packet fates
+    #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// `adaptive`, `fixed:MS` or `none`.
+    /// Artificial time compensation: adaptive, fixed:MS or none
+    #[arg(long, default_value = "adaptive", value_name = "MODE")]
     pub compensation: String,
-    /// Share of the scripts after which the spectator joins.
-    pub late_join: f64,
-    /// Busy processes beside the session.
+    /// Busy processes of ordinary priority beside the session: dropouts may then last 60 ms instead of 40
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=i64::from(PROCESSES_MAX)))]
     pub stress: u16,
-    /// Folder of the report and its intermediate files; without it they are temporary.
+    /// Print the report as one JSON object
+    #[arg(long)]
+    pub json: bool,
+    /// Folder of report.txt, report.json, report.html and the plots [default: palpate-report; none with --json]
+    #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
+    /// The share of the scripts after which the spectator joins
+    #[arg(long, default_value_t = 0.4, hide = true)]
+    pub late_join: f64,
 }
 
 /// Failure of a demo.
@@ -71,12 +84,9 @@ pub enum DemoError {
     /// Invalid length.
     #[error("{0} seconds are not between {SECONDS_MIN} and {SECONDS_MAX}")]
     Seconds(f64),
-    /// The model.
+    /// The model or its scripts.
     #[error("{0}")]
-    TestModel(Box<TestModelError>),
-    /// The scripts.
-    #[error(transparent)]
-    Scripts(#[from] ScriptsError),
+    Model(String),
     /// The session.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -90,9 +100,9 @@ pub enum DemoError {
     },
 }
 
-impl From<TestModelError> for DemoError {
-    fn from(error: TestModelError) -> Self {
-        Self::TestModel(Box::new(error))
+impl From<String> for DemoError {
+    fn from(why: String) -> Self {
+        Self::Model(why)
     }
 }
 
@@ -127,7 +137,7 @@ pub fn run(
         write(&script_file(dir, name), text)?;
     }
     // Both sides use the rounded numbers of the file.
-    let read = |text| Script::from_toml(text).map_err(ScriptsError::from);
+    let read = |text| Script::from_toml(text).map_err(|e| e.to_string());
     let scripts = [read(&files[0])?, read(&files[1])?];
     let run = session(options, dir, &test_model, progress, interrupt)?;
     progress.stage("computing the reference: the same hands without a network");
@@ -323,7 +333,8 @@ fn conclude(
         stress: options.stress,
         network: run.network,
         problems: run.problems,
-        ..Report::new(ServerReport::of(&run.host))
+        server: run.host.clone(),
+        ..Report::default()
     };
     let reference = match reference {
         Ok((reference, seconds)) => {
@@ -486,7 +497,7 @@ fn draw(
         })
         .collect();
     let dropouts_of = |name: &str| {
-        let of = report.participants.iter().find(|p| p.name == name);
+        let of = report.participants.iter().find(|p| p.summary.name == name);
         of.and_then(|p| p.dropouts.as_ref())
             .map_or(&[][..], |d| &d.spans_s)
     };

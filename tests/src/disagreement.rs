@@ -20,7 +20,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::bench::quantile_of_sorted;
 
-/// Grid of compared instants, µs.
 const GRID_US: i64 = 10_000;
 
 /// Displacements and motions below this do not count, mm. Recordings leave such nodes out.
@@ -29,19 +28,13 @@ const MOVED_MM: f64 = 0.05;
 /// Maximum pause between two views for interpolation, µs.
 const PAUSE_MAX_US: i64 = 250_000;
 
-/// Interval of the disagreement over time, µs.
 const INTERVAL_US: i64 = 100_000;
 
-/// Percentiles of distances, mm.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct DistancesMm {
-    /// Median.
     pub p50: f64,
-    /// 95th percentile.
     pub p95: f64,
-    /// Maximum.
     pub max: f64,
-    /// Number of distances.
     pub count: usize,
 }
 
@@ -62,29 +55,21 @@ impl DistancesMm {
     }
 }
 
-/// An interval of the disagreement over time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DisagreementPoint {
     /// Middle of the interval, monotonic, µs.
     pub t_us: i64,
-    /// 95th percentile, mm.
     pub p95_mm: f64,
-    /// Maximum, mm.
     pub max_mm: f64,
 }
 
-/// Disagreement over all pairs of recordings.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Disagreement {
-    /// Views, tools and nodes together.
     pub views: DistancesMm,
-    /// Views, tools alone.
     pub tools: DistancesMm,
-    /// Views, nodes alone.
     pub nodes: DistancesMm,
     /// Contents at equal s.
     pub contents: DistancesMm,
-    /// Views over time.
     pub over_time: Vec<DisagreementPoint>,
 }
 
@@ -98,7 +83,6 @@ struct Seen {
     rank_max: u64,
 }
 
-/// One distance.
 #[derive(Debug, Clone, Copy)]
 enum Distance {
     Tool(f32),
@@ -114,7 +98,6 @@ impl Distance {
 }
 
 impl Disagreement {
-    /// Compares every pair of recordings.
     pub fn between(recordings: &[&Recording]) -> Self {
         let mut views: Vec<(i64, Distance)> = Vec::new();
         let mut contents: Vec<f32> = Vec::new();
@@ -169,12 +152,11 @@ fn over_time(views: &[(i64, Distance)]) -> Vec<DisagreementPoint> {
 }
 
 fn compare_views(a: &Recording, b: &Recording, out: &mut Vec<(i64, Distance)>) {
-    let (Some(from), Some(until)) = (
-        latest(a.views.first(), b.views.first()),
-        earliest(a.views.last(), b.views.last()),
-    ) else {
+    let ends = |r: &Recording| Some([r.views.first()?.shown_us, r.views.last()?.shown_us]);
+    let (Some(ends_a), Some(ends_b)) = (ends(a), ends(b)) else {
         return;
     };
+    let (from, until) = (ends_a[0].max(ends_b[0]), ends_a[1].min(ends_b[1]));
     let (mut ia, mut ib) = (0, 0);
     let mut t = from.div_euclid(GRID_US) * GRID_US + GRID_US;
     while t < until {
@@ -183,14 +165,6 @@ fn compare_views(a: &Recording, b: &Recording, out: &mut Vec<(i64, Distance)>) {
         }
         t += GRID_US;
     }
-}
-
-fn latest(a: Option<&ViewRecord>, b: Option<&ViewRecord>) -> Option<i64> {
-    Some(a?.shown_us.max(b?.shown_us))
-}
-
-fn earliest(a: Option<&ViewRecord>, b: Option<&ViewRecord>) -> Option<i64> {
-    Some(a?.shown_us.min(b?.shown_us))
 }
 
 /// The view at `t`; `index` is the result of the last search.
@@ -243,7 +217,6 @@ fn mm(metres: f64) -> f64 {
     metres * 1e3
 }
 
-/// Highest rank in a view.
 fn rank_max(view: &ViewRecord) -> u64 {
     if view.nodes.len() < NODES_PER_VIEW_MAX {
         return u64::MAX;

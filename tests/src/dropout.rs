@@ -25,15 +25,11 @@ pub const WINDOW_S: f64 = 8e-3;
 /// the force is below [`FORCE_SHARE`] of it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Dropouts {
-    /// Number of dropouts.
     pub count: usize,
-    /// Longest dropout, ms; zero without any.
     pub longest_ms: f64,
-    /// Total duration, ms.
     pub total_ms: f64,
     /// Reference force above which an instant is in contact, N.
     pub contact_n: f64,
-    /// Time in contact, s.
     pub contact_s: f64,
     /// Begins and ends, seconds of script.
     pub spans_s: Vec<(f64, f64)>,
@@ -100,7 +96,6 @@ impl<'a> Floor<'a> {
         Self { course, from: 0 }
     }
 
-    /// `None` outside the course.
     fn at(&mut self, t_s: f64) -> Option<f64> {
         let until = self.course.last()?.t_s;
         while self.course.get(self.from)?.t_s < t_s - WINDOW_S {

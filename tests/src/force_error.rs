@@ -11,13 +11,10 @@ const CONTACT_N: f64 = 0.05;
 pub struct ForcePoint {
     /// Seconds of script.
     pub t_s: f64,
-    /// Force on the tool, N.
     pub force_n: [f64; 3],
-    /// Position of the tool, m.
     pub position_m: [f64; 3],
 }
 
-/// The difference of two courses of force.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ForceError {
     /// Root mean square of `|F - F_ref|` over that of `|F_ref|`, both over the contact, percent.
@@ -26,7 +23,6 @@ pub struct ForceError {
     pub max_n: f64,
     /// Root mean square of the distance of the two tools over the contact, mm.
     pub position_rms_mm: f64,
-    /// Seconds of contact that were compared.
     pub contact_s: f64,
 }
 
@@ -104,7 +100,6 @@ fn at(course: &[ForcePoint], index: &mut usize, t_s: f64) -> Option<ForcePoint> 
     })
 }
 
-/// Length of a vector.
 pub fn norm(v: [f64; 3]) -> f64 {
     v.iter().map(|c| c * c).sum::<f64>().sqrt()
 }

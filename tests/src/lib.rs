@@ -6,52 +6,60 @@
 //!
 //! | task | modules |
 //! | --- | --- |
-//! | emulate a bad network, for state machines or for programs | [`network`], [`relay`] |
-//! | find locations to press and cut on any model, and write scripts for them | [`tool_location`], [`scripts`] |
-//! | use a hand with a known continuous motion | [`hand`] |
-//! | run a server and clients as processes | [`program`], [`session`], [`stress`] |
-//! | compute the forces without a network | [`mod@reference`] |
-//! | simulate a whole session in virtual time: links, server, participants | [`simulated_session`] |
-//! | simulate the time compensation of two sites | [`alignment`] |
-//! | load a server with all its seats | [`load_test`] |
-//! | compare recordings | [`disagreement`], [`force_error`], [`dropout`], [`delay_figures`], [`cpu`] |
-//! | judge a session | [`criteria`] |
-//! | measure the solver | [`mod@bench`] |
-//! | compare rendered and converged forces of a tool | [`scenario`], [`experiments`] |
-//! | inject faults into the haptic chain | [`haptic_faults`] |
-//! | test and fuzz the decoders | [`decoders`] |
-//! | run all of it at once | [`demo`], [`report`], [`plots`] |
+//! | emulate a bad network, for state machines or for programs | `network`, `relay` |
+//! | find locations to press and cut on any model, and write scripts for them | `tool_location`, `scripts` |
+//! | use a hand with a known continuous motion | `hand` |
+//! | run a server and clients as processes | `program`, `session`, `stress` |
+//! | compute the forces without a network | `reference` |
+//! | simulate a whole session in virtual time: links, server, participants | `simulated_session` |
+//! | simulate the time compensation of two sites | `alignment` |
+//! | load a server with all its seats | `load_test` |
+//! | compare recordings | `disagreement`, `force_error`, `dropout`, `delay_figures`, `cpu` |
+//! | judge a session | `criteria` |
+//! | measure the solver | `bench` |
+//! | compare rendered and converged forces of a tool | `scenario`, `experiments` |
+//! | inject faults into the haptic chain | `haptic_faults` |
+//! | test and fuzz the decoders | `decoders` |
+//! | run all of it at once | `demo`, `report`, `plots` |
 
+// Only the program and the tests of this package use the library; a document says what a name does not.
+#![allow(missing_docs, unreachable_pub)]
+// Names of fields are those of the JSON, with their units.
+#![allow(clippy::struct_field_names)]
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod alignment;
-pub mod bench;
-pub mod chart;
+mod bench;
+mod chart;
 pub mod cli;
-pub mod cpu;
-pub mod criteria;
+mod cpu;
+mod criteria;
 pub mod decoders;
-pub mod delay_figures;
-pub mod demo;
-pub mod disagreement;
-pub mod dropout;
-pub mod experiments;
-pub mod force_error;
-pub mod hand;
-pub mod haptic_faults;
-pub mod load_test;
+mod delay_figures;
+mod demo;
+mod disagreement;
+mod dropout;
+mod experiments;
+mod force_error;
+mod hand;
+mod haptic_faults;
+mod histogram;
+mod input_file;
+mod load_test;
 mod name_suggestion;
 pub mod network;
-pub mod plots;
+mod plots;
 pub mod program;
-pub mod progress;
-pub mod reference;
-pub mod relay;
+mod progress;
+mod reference;
+mod relay;
 pub mod report;
-pub mod scenario;
+mod scenario;
 pub mod scripts;
 pub mod session;
 pub mod simulated_session;
-pub mod stress;
+mod stress;
 pub mod test_model;
 pub mod tool_location;
+
+pub use bench::wound;

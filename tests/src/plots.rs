@@ -4,10 +4,8 @@ use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, PURPLE, Panel};
 use crate::disagreement::DisagreementPoint;
 use crate::force_error::{ForcePoint, norm};
 
-/// Forces of one trainee.
 #[derive(Debug, Clone)]
 pub struct TraineeForces<'a> {
-    /// The name.
     pub name: &'a str,
     /// In the session, over the time of the script.
     pub session: &'a [ForcePoint],
@@ -37,7 +35,6 @@ pub fn forces(trainees: &[TraineeForces<'_>], marks: Vec<Mark>) -> Chart {
     Chart::new("Contact force", "time of the script (s)", panels).with_marks(marks)
 }
 
-/// Dropouts as pulses from zero to the largest force of the reference.
 fn dropouts(trainee: &TraineeForces<'_>) -> Line {
     let force = trainee.reference.iter().map(|p| norm(p.force_n));
     let top = force.fold(0.0, f64::max);

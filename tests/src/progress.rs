@@ -8,18 +8,15 @@ use std::time::{Duration, Instant};
 /// Interval of progress lines if standard error is not a terminal: a log stays short.
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
-/// Progress output.
 #[derive(Debug)]
 pub struct Progress {
     began: Instant,
     is_terminal: bool,
     shown: String,
-    /// Time of the last line.
     said: Instant,
 }
 
 impl Progress {
-    /// Starts the clock.
     pub fn new() -> Self {
         Self {
             began: Instant::now(),
@@ -29,7 +26,6 @@ impl Progress {
         }
     }
 
-    /// Begins a stage.
     pub fn stage(&mut self, what: &str) {
         self.clear();
         self.said = Instant::now();
@@ -66,12 +62,6 @@ impl Progress {
     }
 }
 
-impl Default for Progress {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl Drop for Progress {
     fn drop(&mut self) {
         self.clear();
@@ -84,22 +74,23 @@ pub struct Interrupt(Arc<AtomicBool>);
 
 impl Interrupt {
     /// Listens for SIGINT and SIGTERM, which then no longer end the process.
-    pub fn listen() -> std::io::Result<Self> {
+    pub fn listen() -> Result<Self, String> {
+        let failed = |e: std::io::Error| format!("cannot install the signal handlers: {e}");
         let interrupt = Self::default();
         let flag = interrupt.clone();
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_io()
-            .build()?;
-        std::thread::Builder::new()
-            .name("signals".into())
-            .spawn(move || {
-                runtime.block_on(wanted());
-                flag.0.store(true, Ordering::Release);
-            })?;
+            .build()
+            .map_err(failed)?;
+        let thread = std::thread::Builder::new().name("signals".into());
+        let listen = move || {
+            runtime.block_on(wanted());
+            flag.0.store(true, Ordering::Release);
+        };
+        thread.spawn(listen).map_err(failed)?;
         Ok(interrupt)
     }
 
-    /// Whether termination was requested.
     pub fn is_set(&self) -> bool {
         self.0.load(Ordering::Acquire)
     }

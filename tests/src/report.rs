@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-use palpate_client::{Lateness, Summary};
-use palpate_server::host::{HostSummary, TickTimes};
+use palpate_client::Summary;
+use palpate_server::host::HostSummary;
 use serde::{Deserialize, Serialize};
 
 use crate::cpu::{CpuRow, CpuTable};
@@ -12,37 +12,26 @@ use crate::delay_figures::DelayFigures;
 use crate::disagreement::{Disagreement, DistancesMm};
 use crate::dropout::Dropouts;
 use crate::force_error::ForceError;
-use crate::reference::Reference;
+use crate::reference::{Quality, Reference};
 use crate::relay::RelayStats;
 
-/// The figures of a demo.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Report {
-    /// Nodes of the model.
     pub nodes: usize,
-    /// Length of the scripts, s.
     pub seconds: f64,
-    /// Busy processes that ran beside the session.
     pub stress: u16,
-    /// Participants that left figures.
     pub participants: Vec<ParticipantReport>,
-    /// The server.
-    pub server: ServerReport,
+    pub server: HostSummary,
     /// How far apart participants see the same item at the same instant of real time.
     pub view_disagreement_mm: DistancesMm,
-    /// Of that, tools alone.
     pub tool_disagreement_mm: DistancesMm,
-    /// Of that, nodes of the tissue alone.
     pub node_disagreement_mm: DistancesMm,
     /// How far apart participants show the same item for the same moment of the session.
     pub content_disagreement_mm: DistancesMm,
-    /// The network between them.
     pub network: RelayStats,
-    /// The cuts.
     pub cut: CutReport,
     /// The playout delay D over the scripts; `None` when no view was recorded.
     pub delay: Option<DelayFigures>,
-    /// CPU time per process, if measured.
     pub cpu: Vec<CpuRow>,
     /// The run without a network; `None` if it failed.
     pub reference: Option<ReferenceReport>,
@@ -50,40 +39,17 @@ pub struct Report {
     pub problems: Vec<String>,
     /// Notes for the reader, one sentence each.
     pub notes: Vec<String>,
-    /// Every figure that has a limit.
     pub criteria: Vec<Criterion>,
-    /// Whether all criteria are met.
     pub ok: bool,
 }
 
-/// A participant's figures.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+/// The summary of a participant's client, and the figures of its recording.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct ParticipantReport {
-    /// The name.
-    pub name: String,
-    /// The role.
-    pub role: String,
-    /// Ticks of the force loop; 0 for a spectator.
-    pub ticks: u64,
-    /// Ticks per second.
-    pub rate_hz: f64,
-    /// Lateness of ticks, µs.
-    pub lateness_us: Lateness,
-    /// Skipped deadlines.
-    pub missed: u64,
-    /// Round trip time, as the client measured it.
-    pub rtt_ms: Option<f64>,
-    /// Share of the server's datagrams that did not arrive, 0 to 1, as the client measured it.
-    pub loss: f64,
-    /// Artificial delay D at the end.
-    pub compensation_ms: f64,
-    /// Hash of its topology at the end.
-    pub topology_hash: String,
-    /// Version of its topology at the end.
-    pub topology_version: u32,
+    #[serde(flatten)]
+    pub summary: Summary,
     /// Error of the contact force against the run without a network, percent rms; `None` for a spectator.
     pub force_error_rms: Option<f64>,
-    /// Details of the force error.
     pub force_error: Option<ForceError>,
     /// Dropouts of the force; `None` without a reference or a script.
     pub dropouts: Option<Dropouts>,
@@ -91,37 +57,12 @@ pub struct ParticipantReport {
     pub recording_gap_ms: Option<f64>,
     /// Points, views and operations dropped from a full recording.
     pub records_dropped: u64,
-    /// The summary of the client.
-    pub summary: Summary,
 }
 
-/// The server's figures.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct ServerReport {
-    /// Number of ticks.
-    pub ticks: u64,
-    /// Duration of the ticks.
-    pub tick_ms: TickTimes,
-    /// Tick period.
-    pub tick_period_ms: f64,
-    /// Operations in the log.
-    pub operations: usize,
-    /// Demotions to spectator because of the network.
-    pub demotions: u64,
-    /// Hash of its topology at the end.
-    pub topology_hash: String,
-    /// Version of its topology at the end.
-    pub topology_version: u32,
-}
-
-/// The cuts.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct CutReport {
-    /// Strokes of the blade in the scripts.
     pub strokes: u64,
-    /// Cuts in the log.
     pub operations: u64,
-    /// Connected pieces of the tissue.
     pub components: usize,
     /// Whether the outer surface is closed, wounds included.
     pub boundary_closed: bool,
@@ -129,53 +70,25 @@ pub struct CutReport {
     pub applied_after_ms: Vec<(String, f64)>,
 }
 
-/// The run without a network.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct ReferenceReport {
-    /// Computation time, s.
     pub seconds: f64,
     /// Times of its cuts, seconds of script.
     pub cuts_s: Vec<f64>,
     /// Largest distance between the cuts of the session, which the reference uses, and those of its own hands,
     /// mm.
     pub cut_apart_mm: f64,
-    /// Solves near the tools.
-    pub solves: usize,
-    /// Converged solves of the whole tissue.
-    pub checks: usize,
-    /// The largest relative residual of a check.
-    pub residual_max: f64,
-    /// Change of the force by the checks, percent rms: an upper estimate of the error; holder and cutter.
-    pub error_percent: [f64; 2],
+    #[serde(flatten)]
+    pub quality: Quality,
 }
 
 impl ReferenceReport {
-    /// The figures of a reference with this computation time.
     pub fn of(reference: &Reference, seconds: f64) -> Self {
-        let q = reference.quality;
         Self {
             seconds,
             cuts_s: reference.cuts_s.clone(),
             cut_apart_mm: reference.cut_apart_m * 1e3,
-            solves: q.solves,
-            checks: q.checks,
-            residual_max: q.residual_max,
-            error_percent: q.error_percent,
-        }
-    }
-}
-
-impl ServerReport {
-    /// The figures of a server summary.
-    pub fn of(s: &HostSummary) -> Self {
-        Self {
-            ticks: s.ticks,
-            tick_ms: s.tick_ms,
-            tick_period_ms: s.tick_period_ms,
-            operations: s.operations,
-            demotions: s.demotions,
-            topology_hash: s.topology_hash.clone(),
-            topology_version: s.topology_version,
+            quality: reference.quality,
         }
     }
 }
@@ -183,62 +96,22 @@ impl ServerReport {
 impl ParticipantReport {
     /// The figures of a client summary and its force error; those of its recording stay empty.
     pub fn of(summary: Summary, force_error: Option<ForceError>) -> Self {
-        let s = summary.clone();
         Self {
-            name: s.name,
-            role: s.role,
-            ticks: s.ticks,
-            rate_hz: s.rate_hz,
-            lateness_us: s.lateness_us,
-            missed: s.missed,
-            rtt_ms: s.rtt_ms,
-            loss: s.loss,
-            compensation_ms: s.compensation_ms,
-            topology_hash: s.topology_hash,
-            topology_version: s.topology_version,
+            summary,
             force_error_rms: force_error.map(|e| e.rms_percent),
             force_error,
-            dropouts: None,
-            recording_gap_ms: None,
-            records_dropped: 0,
-            summary,
+            ..Self::default()
         }
     }
 }
 
 impl Report {
-    /// A report with the figures of the server only.
-    pub fn new(server: ServerReport) -> Self {
-        Self {
-            nodes: 0,
-            seconds: 0.0,
-            stress: 0,
-            participants: Vec::new(),
-            server,
-            view_disagreement_mm: DistancesMm::default(),
-            tool_disagreement_mm: DistancesMm::default(),
-            node_disagreement_mm: DistancesMm::default(),
-            content_disagreement_mm: DistancesMm::default(),
-            network: RelayStats::default(),
-            cut: CutReport::default(),
-            delay: None,
-            cpu: Vec::new(),
-            reference: None,
-            problems: Vec::new(),
-            notes: Vec::new(),
-            criteria: Vec::new(),
-            ok: false,
-        }
-    }
-
-    /// Judges all figures by the [criteria].
     pub fn judge(&mut self, expected: &Expected<'_>) {
         self.cut.strokes = expected.strokes;
         self.criteria = criteria::judge(self, expected);
         self.ok = self.criteria.iter().all(|c| c.ok);
     }
 
-    /// Sets the figures of view disagreement.
     pub fn set_disagreement(&mut self, d: &Disagreement) {
         self.view_disagreement_mm = d.views;
         self.tool_disagreement_mm = d.tools;
@@ -313,22 +186,24 @@ impl Report {
             if c.boundary_closed { "closed" } else { "OPEN" }
         )?;
         if let Some(r) = &self.reference {
+            let q = &r.quality;
             writeln!(
                 f,
                 "reference      {:.1} s for {} solves; {} checks to a residual of {:.3} changed forces by {:.1} and {:.1} %; \
                  its own cut would be {:.2} mm away",
                 r.seconds,
-                r.solves,
-                r.checks,
-                r.residual_max,
-                r.error_percent[0],
-                r.error_percent[1],
+                q.solves,
+                q.checks,
+                q.residual_max,
+                q.error_percent[0],
+                q.error_percent[1],
                 r.cut_apart_mm
             )?;
         }
         let s = &self.server;
         writeln!(f, "topology       server {}", s.topology_hash)?;
         for p in &self.participants {
+            let p = &p.summary;
             let verdict = if p.topology_hash == s.topology_hash {
                 "equal"
             } else {
@@ -366,8 +241,8 @@ impl fmt::Display for Brief<'_> {
             writeln!(f, "PROBLEM: {problem}")?;
         }
         writeln!(f)?;
-        for p in r.participants.iter().filter(|p| p.ticks > 0) {
-            writeln!(f, "force of the {:<11} {}", p.name, ForceOf(p))?;
+        for p in r.participants.iter().filter(|p| p.summary.ticks > 0) {
+            writeln!(f, "force of the {:<11} {}", p.summary.name, ForceOf(p))?;
         }
         if let Some(d) = &r.delay {
             let (median, max) = (d.median_ms, d.max_ms);
@@ -399,7 +274,7 @@ impl fmt::Display for Brief<'_> {
         writeln!(f, "mean CPU cores           {}", cores.join(", "))?;
         match &r.reference {
             Some(q) => {
-                let error = q.error_percent.into_iter().fold(0.0, f64::max);
+                let error = q.quality.error_percent.into_iter().fold(0.0, f64::max);
                 write!(
                     f,
                     "reference                the same hands without a network, computed in {:.1} s, error at most {error:.1} %",
@@ -411,7 +286,6 @@ impl fmt::Display for Brief<'_> {
     }
 }
 
-/// Force error and dropouts of a trainee, in a line.
 struct ForceOf<'a>(&'a ParticipantReport);
 
 impl fmt::Display for ForceOf<'_> {
@@ -438,7 +312,8 @@ impl Report {
             f,
             "participant    role        loop Hz  late µs p50/p99/p99.9/max   missed  RTT ms  loss %   D ms  force error %"
         )?;
-        for p in &self.participants {
+        for participant in &self.participants {
+            let p = &participant.summary;
             let l = &p.lateness_us;
             let (rate, late) = if p.ticks > 0 {
                 (
@@ -458,7 +333,7 @@ impl Report {
                 or_dash(p.rtt_ms),
                 p.loss * 100.0,
                 p.compensation_ms,
-                or_dash(p.force_error_rms)
+                or_dash(participant.force_error_rms)
             )?;
         }
         Ok(())
@@ -479,8 +354,12 @@ impl Report {
         )?;
         writeln!(f, "  to server    {}", n.up)?;
         writeln!(f, "  to clients   {}", n.down)?;
-        let rtts: Vec<f64> = self.participants.iter().filter_map(|p| p.rtt_ms).collect();
-        let losses: Vec<f64> = self.participants.iter().map(|p| p.loss).collect();
+        let rtts: Vec<f64> = self
+            .participants
+            .iter()
+            .filter_map(|p| p.summary.rtt_ms)
+            .collect();
+        let losses: Vec<f64> = self.participants.iter().map(|p| p.summary.loss).collect();
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
         writeln!(
             f,
@@ -492,7 +371,6 @@ impl Report {
     }
 }
 
-/// Definitions of the figures, for readers of the report.
 pub const DEFINITIONS: &str = "\
 disagreement of views     at the same instant of real time (a grid of 10 ms, views interpolated
                           linearly): distance between the positions of the same tool or node at

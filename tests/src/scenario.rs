@@ -24,7 +24,6 @@ use serde::Serialize;
 
 use crate::experiments::Table;
 
-/// Tick of the chain.
 const TICK: Span = Span::from_millis(1);
 /// Period of the converged solves, ms; coprime to the haptic period.
 pub const CHECK_MS: i64 = 11;
@@ -33,49 +32,36 @@ const LEAD: Span = Span::from_millis(1200);
 /// Relative residual of a converged solve. 1e-3 leaves 0.2 % of the force; 1e-4 takes a second per position on
 /// the thigh.
 const CONVERGED: f64 = 5e-4;
-/// Maximum iterations; the result table lists the remaining residual.
 const ITERATIONS: usize = 60;
 /// Sliding threshold, m/s.
 const SLIDES_M_S: f64 = 5e-3;
 /// Ticks for which the tool must have slid.
 const SLID_TICKS: usize = 20;
 
-/// Input of a simulated contact.
 #[derive(Debug, Clone)]
 pub struct Scenario {
-    /// The tissue.
     pub model: Arc<Model>,
-    /// The tool.
     pub tool: ToolDescription,
-    /// The path of the tool.
     pub path: Script,
 }
 
-/// One tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
-    /// Time since the beginning of the path, s.
     pub t_s: f64,
-    /// Position of the pivot, m.
     pub position: Vector3<f64>,
-    /// Rendered wrench.
     pub rendered: Wrench,
     /// Whether the tool has slid for `SLID_TICKS` ticks.
     pub slides: bool,
-    /// Converged wrench, at checked ticks.
     pub solution: Option<Solution>,
 }
 
-/// Converged solution.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Solution {
-    /// Wrench on the tool without friction.
     pub frictionless: Wrench,
     /// Friction wrench if the tool slides.
     pub friction: Wrench,
     /// Sum of the normal forces, N.
     pub pressed_n: f64,
-    /// Relative residual.
     pub residual: f64,
 }
 
@@ -90,18 +76,14 @@ impl Solution {
     }
 }
 
-/// Result.
 #[derive(Debug, Clone)]
 pub struct ScenarioResult {
-    /// One point per tick.
     pub points: Vec<Point>,
-    /// Counters of the chain.
     pub counters: Counters,
     /// Processor time of the solves, ms: median and 99th percentile.
     pub solve_ms: [f64; 2],
 }
 
-/// Deviation of the rendered from the converged values.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Deviation {
     /// Rms of the difference over the rms of the converged value.
@@ -115,7 +97,6 @@ pub struct Deviation {
 }
 
 impl Deviation {
-    /// Deviation over pairs of rendered and converged values.
     pub fn of(pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)>) -> Self {
         let (mut off, mut all, mut worst, mut largest, mut n) = (0.0, 0.0, 0.0_f64, 0.0_f64, 0);
         for (rendered, solution) in pairs {
@@ -170,7 +151,6 @@ impl Scenario {
         })
     }
 
-    /// Runs the simulation; `progress` receives the completed share.
     pub fn run(&self, progress: &mut (dyn FnMut(f64) + Send)) -> ScenarioResult {
         let (mut points, counters, solve_ms) = self.render(&mut |done| progress(0.5 * done));
         // The converged solves may use all cores.
@@ -201,7 +181,6 @@ impl Scenario {
         }
     }
 
-    /// Simulates the haptic path.
     fn render(&self, progress: &mut dyn FnMut(f64)) -> (Vec<Point>, Counters, [f64; 2]) {
         let mut replica = Replica::new(Arc::clone(&self.model), true);
         let mut chain = Chain::new(ChainConfig::default(), &caps());
@@ -250,7 +229,6 @@ impl Scenario {
         (points, *chain.counters(), [quantile(0.5), quantile(0.99)])
     }
 
-    /// Computes the converged solution at every checked position.
     fn converge(&self, points: &mut [Point], progress: &mut dyn FnMut(f64)) {
         let topology = Topology::new(Arc::clone(&self.model));
         let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
@@ -292,25 +270,19 @@ fn solution(reactions: &[Reaction], at: &ScriptPose, residual: f64) -> Solution 
 }
 
 impl ScenarioResult {
-    /// The points with a converged solution.
     pub fn checked(&self) -> impl Iterator<Item = (&Point, Solution)> {
         self.points.iter().filter_map(|p| Some((p, p.solution?)))
     }
 
     /// Rendered against converged force without friction, for frictionless tissue.
     pub fn frictionless(&self) -> Deviation {
-        Deviation::of(
-            self.checked()
-                .map(|(p, t)| (p.rendered.force, t.frictionless.force)),
-        )
+        let pairs = self.checked();
+        Deviation::of(pairs.map(|(p, t)| (p.rendered.force, t.frictionless.force)))
     }
 
-    /// The same for the torque about the pivot.
     pub fn frictionless_torque(&self) -> Deviation {
-        Deviation::of(
-            self.checked()
-                .map(|(p, t)| (p.rendered.torque, t.frictionless.torque)),
-        )
+        let pairs = self.checked();
+        Deviation::of(pairs.map(|(p, t)| (p.rendered.torque, t.frictionless.torque)))
     }
 
     /// Force with friction while the tool slides.
@@ -319,13 +291,11 @@ impl ScenarioResult {
         Deviation::of(slides.map(|(p, t)| (p.rendered.force, t.at(true).force)))
     }
 
-    /// The same for the torque.
     pub fn sliding_torque(&self) -> Deviation {
         let slides = self.checked().filter(|(p, _)| p.slides);
         Deviation::of(slides.map(|(p, t)| (p.rendered.torque, t.at(true).torque)))
     }
 
-    /// Share of sliding checks from `from_s` on.
     pub fn slid(&self, from_s: f64) -> f64 {
         let all = || self.checked().filter(|(p, _)| p.t_s >= from_s);
         all().filter(|(p, _)| p.slides).count() as f64 / all().count() as f64
@@ -341,7 +311,6 @@ impl ScenarioResult {
         serde_json::json!({ "worst": worst, "over": over, "checks": self.checked().count() })
     }
 
-    /// One row per tick.
     pub fn table(&self) -> Table {
         let mut table = Table::new(
             "t_s,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n,tx_nmm,ty_nmm,tz_nmm,slides,converged_fx_n,converged_fy_n,\

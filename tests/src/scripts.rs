@@ -18,7 +18,7 @@ use palpate_device::script::{Hand, Tool, Waypoint};
 use palpate_device::{Script, ScriptError};
 use palpate_tissue::{Model, Solver, Topology, Vec3};
 
-use crate::tool_location::{SurfacePoint, ToolLocation, ToolLocationError};
+use crate::tool_location::{SurfacePoint, ToolLocation};
 
 /// Shortest scripts, s. In less time the stroke would be faster than a hand.
 pub const SECONDS_MIN: f64 = 4.0;
@@ -37,8 +37,6 @@ const BLADE_RADIUS_M: f64 = 0.006;
 
 /// Length of the blade edge for a stroke of [`STROKE_DEPTH_M`], m: it stands out of the tissue while cutting.
 const BLADE_LENGTH_M: f64 = 0.012;
-
-/// Depth of the press, m.
 const PRESS_DEPTH_M: f64 = 0.008;
 
 /// Depth of the blade tip, m.
@@ -52,40 +50,17 @@ const HOVER_M: f64 = 0.020;
 
 /// Distance of the last press from the wound, m.
 const BESIDE_M: f64 = 0.012;
-
-/// Way points of the stroke.
 const STROKE_POINTS: usize = 24;
 
 /// Period of the slow motion while holding, s.
 const SWAY_PERIOD_S: f64 = 2.5;
 
-/// Failure to make scripts for a model.
-#[derive(Debug, thiserror::Error)]
-pub enum ScriptsError {
-    /// No location for tools.
-    #[error(transparent)]
-    Location(#[from] ToolLocationError),
-    /// The scripts.
-    #[error("the generated scripts are invalid: {0}")]
-    Script(#[from] ScriptError),
-}
-
-impl From<ScriptsError> for String {
-    fn from(error: ScriptsError) -> Self {
-        error.to_string()
-    }
-}
-
-/// The scripts of the two trainees.
 #[derive(Debug, Clone)]
 pub struct Scripts {
-    /// Script of the holder.
     pub holder: Script,
-    /// Script of the cutter.
     pub cutter: Script,
 }
 
-/// Dimensions adapted to the model.
 #[derive(Debug, Clone, Copy)]
 struct Sizes {
     probe_radius: f64,
@@ -122,7 +97,6 @@ impl Sizes {
     }
 }
 
-/// Way points of a script.
 struct Path {
     waypoints: Vec<Waypoint>,
     turn: UnitQuaternion<f64>,
@@ -131,12 +105,8 @@ struct Path {
 
 impl Path {
     fn to(&mut self, share: f64, at: Vec3) -> &mut Waypoint {
-        self.at_second(share * self.length_s, at)
-    }
-
-    fn at_second(&mut self, t_s: f64, at: Vec3) -> &mut Waypoint {
-        self.waypoints
-            .push(Waypoint::new(t_s, at).turned(self.turn));
+        let way = Waypoint::new(share * self.length_s, at).turned(self.turn);
+        self.waypoints.push(way);
         self.waypoints.last_mut().expect("one was pushed")
     }
 
@@ -158,16 +128,16 @@ impl Path {
 
 impl Scripts {
     /// Scripts of `seconds` for the best location on a model, sagged by its weight.
-    pub fn for_model(model: &Arc<Model>, seconds: f64) -> Result<Self, ScriptsError> {
+    pub fn for_model(model: &Arc<Model>, seconds: f64) -> Result<Self, String> {
         let topology = Topology::new(Arc::clone(model));
         let mut location = ToolLocation::find(&topology)?;
         if model.gravity != [0.0; 3] {
             location.sag(&topology, &Solver::new(&topology));
         }
-        Ok(Self::for_location(&location, seconds)?)
+        let scripts = Self::for_location(&location, seconds);
+        scripts.map_err(|e| format!("the generated scripts are invalid: {e}"))
     }
 
-    /// Scripts of `seconds` for a location on a model.
     pub fn for_location(location: &ToolLocation, seconds: f64) -> Result<Self, ScriptError> {
         let sizes = Sizes::of(location);
         Ok(Self {

@@ -6,8 +6,6 @@ use crate::program::{Program, ProgramError, die_with_parent};
 
 /// First argument of a busy process; the id of its parent follows.
 pub const ROLE: &str = "busy";
-
-/// Maximum number of busy processes.
 pub const PROCESSES_MAX: u16 = 64;
 
 /// Iterations between two checks of the parent: some tens of milliseconds.
@@ -17,7 +15,6 @@ const TURNS: u32 = 20_000_000;
 pub struct Stress(Vec<Program>);
 
 impl Stress {
-    /// Starts this many processes.
     pub fn start(executable: &Path, processes: u16) -> Result<Self, ProgramError> {
         let own = std::process::id().to_string();
         let start = |n| Program::start(format!("busy process {n}"), executable, [ROLE, &own]);

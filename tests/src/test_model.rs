@@ -3,44 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use palpate_anatomy::sample::{Sample, SampleError};
-use palpate_anatomy::{BuildError, SceneError, SceneInput, build};
-use palpate_tissue::{FileError, Material, Model, ModelFile, WriteError, block};
+use palpate_anatomy::sample::Sample;
+use palpate_anatomy::{SceneInput, build};
+use palpate_tissue::{Material, Model, ModelFile, block};
 
-use crate::progress::Progress;
+use crate::bench::OnStage;
 
-/// Failure to prepare a model.
-#[derive(Debug, thiserror::Error)]
-pub enum TestModelError {
-    /// Neither a file nor a sample.
-    #[error("\"{name}\" is not a file, and {source}")]
-    Unknown {
-        /// The requested name.
-        name: String,
-        /// Error of the sample lookup.
-        source: SampleError,
-    },
-    /// A file that is neither a model nor a scene.
-    #[error("unsupported file {}: use a model (.palp) or a scene (.toml)", .0.display())]
-    Kind(PathBuf),
-    /// The scene is invalid.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// The build failed.
-    #[error(transparent)]
-    Build(#[from] BuildError),
-    /// The model file is invalid.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// The model file cannot be written.
-    #[error(transparent)]
-    Write(#[from] WriteError),
-}
-
-/// A model with its file.
 #[derive(Debug, Clone)]
 pub struct TestModel {
-    /// The model.
     pub model: Arc<Model>,
     /// The file for the server.
     pub file: PathBuf,
@@ -62,53 +32,51 @@ pub fn soft_block(cells: [usize; 3], spacing_m: f64) -> Model {
 
 impl TestModel {
     /// The model `name`: a `.palp` file as it is; a `.toml` scene or a sample, built into `dir`.
-    pub fn prepare(name: &str, dir: &Path) -> Result<Self, TestModelError> {
+    pub fn prepare(name: &str, dir: &Path) -> Result<Self, String> {
         let path = Path::new(name);
         let ends_with = |end: &str| path.extension().is_some_and(|e| e == end);
         if ends_with("palp") {
-            let model = ModelFile::read(path)?.model;
+            let file = ModelFile::read(path).map_err(|e| e.to_string())?;
             return Ok(Self {
-                model: Arc::new(model),
+                model: Arc::new(file.model),
                 file: path.to_owned(),
             });
         }
         if ends_with("toml") {
-            return Self::build(&SceneInput::load(path)?, dir);
+            let scene = SceneInput::load(path).map_err(|e| e.to_string())?;
+            return Self::build(&scene, dir);
         }
         match name.parse::<Sample>() {
-            Ok(sample) => Self::build(&sample.input()?, dir),
-            Err(_) if path.exists() => Err(TestModelError::Kind(path.to_owned())),
-            Err(source) => Err(TestModelError::Unknown {
-                name: name.to_owned(),
-                source,
-            }),
+            Ok(sample) => Self::build(&sample.input().map_err(|e| e.to_string())?, dir),
+            Err(_) if path.exists() => Err(format!(
+                "unsupported file {name}: use a model (.palp) or a scene (.toml)"
+            )),
+            Err(why) => Err(format!("\"{name}\" is not a file, and {why}")),
         }
     }
 
     /// The model `name` alone, without its file.
-    pub(crate) fn in_memory(name: &str, progress: &mut Progress) -> Result<Arc<Model>, String> {
+    pub(crate) fn in_memory(name: &str, on_stage: &mut OnStage<'_>) -> Result<Arc<Model>, String> {
         let dir = tempfile::tempdir()
             .map_err(|e| format!("cannot create a temporary folder for models: {e}"))?;
-        progress.stage(&format!("preparing the model \"{name}\""));
-        let built = Self::prepare(name, dir.path()).map_err(|e| e.to_string())?;
-        Ok(built.model)
+        on_stage(&format!("preparing the model \"{name}\""));
+        Ok(Self::prepare(name, dir.path())?.model)
     }
 
-    fn build(input: &SceneInput, dir: &Path) -> Result<Self, TestModelError> {
-        let (model, report) = build(input, &mut |_, _| ())?;
+    fn build(input: &SceneInput, dir: &Path) -> Result<Self, String> {
+        let (model, report) = build(input, &mut |_, _| ()).map_err(|e| e.to_string())?;
         let report_json = serde_json::to_string(&report).expect("a report is plain data");
         Self::write(ModelFile { model, report_json }, dir)
     }
 
-    /// An in-memory model, written into `dir`.
-    pub fn of(model: Model, dir: &Path) -> Result<Self, TestModelError> {
+    pub fn of(model: Model, dir: &Path) -> Result<Self, String> {
         let report_json = String::new();
         Self::write(ModelFile { model, report_json }, dir)
     }
 
-    fn write(file: ModelFile, dir: &Path) -> Result<Self, TestModelError> {
+    fn write(file: ModelFile, dir: &Path) -> Result<Self, String> {
         let path = dir.join("model.palp");
-        file.write(&path)?;
+        file.write(&path).map_err(|e| e.to_string())?;
         Ok(Self {
             model: Arc::new(file.model),
             file: path,
@@ -123,14 +91,12 @@ mod tests {
     #[test]
     fn unknown_model_error_lists_the_samples() {
         let dir = tempfile::tempdir().unwrap();
-        let error = TestModel::prepare("thight", dir.path())
-            .unwrap_err()
-            .to_string();
+        let error = TestModel::prepare("thight", dir.path()).unwrap_err();
         assert!(error.contains("did you mean \"thigh\"?"), "{error}");
         let file = dir.path().join("notes.txt");
         std::fs::write(&file, "x").unwrap();
         let error = TestModel::prepare(&file.display().to_string(), dir.path()).unwrap_err();
-        assert!(error.to_string().contains(".palp"), "{error}");
+        assert!(error.contains(".palp"), "{error}");
     }
 
     #[test]

@@ -28,8 +28,6 @@ const CLEARANCE_ENOUGH_M: f64 = 0.045;
 
 /// Clearance for a tool that presses without sliding.
 const ROOM_FOR_A_TOOL_M: f64 = 0.015;
-
-/// Sufficient depth of soft tissue.
 const DEPTH_ENOUGH_M: f64 = 0.040;
 
 /// Separation of the two locations if there is room.
@@ -42,23 +40,14 @@ const LEANS_COS: f64 = 0.6;
 /// Number of separations to try, from the wanted one down.
 const SEPARATIONS: usize = 16;
 
-/// Failure to find a location.
-#[derive(Debug, thiserror::Error)]
-pub enum ToolLocationError {
-    /// No node qualifies.
-    #[error(
-        "the model has no location to press and cut: every part of its outer surface is pinned, or \
-         is an edge; unpin a region or use a finer spacing"
-    )]
-    Nowhere,
-}
+const NOWHERE: &str = "the model has no location to press and cut: every part of its outer surface is pinned, or is \
+                       an edge; unpin a region or use a finer spacing";
 
 /// A frame on the outer surface, with its clearance and depth.
 #[derive(Debug, Clone)]
 pub struct ToolLocation {
     /// The centre, a point of the surface, m.
     pub middle: Vec3,
-    /// Outward normal.
     pub normal: Vec3,
     /// Unit vector towards the second location.
     pub u: Vec3,
@@ -68,17 +57,14 @@ pub struct ToolLocation {
     pub clearance_m: f64,
     /// Depth of the nearest pinned part, m.
     pub depth_m: f64,
-    /// Lattice spacing of the model, m.
     pub spacing_m: f64,
     /// Distance of the two locations from the centre, m.
     beside_m: f64,
     triangles: Vec<[Vec3; 3]>,
 }
 
-/// A surface point and its outward normal.
 #[derive(Debug, Clone, Copy)]
 pub struct SurfacePoint {
-    /// Position, m.
     pub at: Vec3,
     /// Outward unit normal.
     pub normal: Vec3,
@@ -130,29 +116,14 @@ impl<'a> Skin<'a> {
     /// The centre with the best score of clearance and depth: node, clearance, depth.
     fn middle(&self, score: impl Fn(f64, f64) -> f64) -> Option<(u32, f64, f64)> {
         let at = |n: u32| self.topology.rest(n);
-        let good: Vec<u32> = self
-            .nodes
-            .iter()
-            .filter(|(_, node)| !node.is_bad)
-            .map(|(n, _)| *n)
-            .collect();
-        let bad: Vec<Vec3> = self
-            .nodes
-            .iter()
-            .filter(|(_, node)| node.is_bad)
-            .map(|(n, _)| at(*n))
-            .collect();
-        let pinned: Vec<Vec3> = (0..self.topology.node_count() as u32)
-            .filter(|n| self.topology.is_pinned(*n))
-            .map(at)
-            .collect();
+        let is_bad = |n: &&u32| self.nodes[*n].is_bad;
+        let (bad, good): (Vec<u32>, Vec<u32>) = self.nodes.keys().partition(is_bad);
+        let bad: Vec<Vec3> = bad.into_iter().map(at).collect();
+        let pinned = (0..self.topology.node_count() as u32).filter(|n| self.topology.is_pinned(*n));
+        let pinned: Vec<Vec3> = pinned.map(at).collect();
         let nearest = |points: &[Vec3], p: Vec3| {
-            let square = |q: &Vec3| (q - p).norm_squared();
-            points
-                .iter()
-                .map(square)
-                .fold(f64::INFINITY, f64::min)
-                .sqrt()
+            let squares = points.iter().map(|q| (q - p).norm_squared());
+            squares.fold(f64::INFINITY, f64::min).sqrt()
         };
         let extent = self.extent();
         let step = good.len().div_ceil(CANDIDATES_MAX).max(1);
@@ -168,7 +139,6 @@ impl<'a> Skin<'a> {
         best.map(|b| b.1)
     }
 
-    /// Diagonal of the bounding box of the surface, m.
     fn extent(&self) -> f64 {
         let (mut low, mut high) = (Vec3::repeat(f64::INFINITY), Vec3::repeat(f64::NEG_INFINITY));
         for n in self.nodes.keys() {
@@ -179,7 +149,6 @@ impl<'a> Skin<'a> {
     }
 }
 
-/// The unpinned region with the largest outer surface.
 fn main_region(topology: &Topology) -> Option<RegionId> {
     let boundary = topology.boundary();
     let mut areas: BTreeMap<RegionId, f64> = BTreeMap::new();
@@ -217,8 +186,7 @@ impl ToolLocation {
         }
     }
 
-    /// Finds the best location on a model at rest.
-    pub fn find(topology: &Topology) -> Result<Self, ToolLocationError> {
+    pub fn find(topology: &Topology) -> Result<Self, String> {
         let skin = Skin::new(topology);
         let found = skin.middle(|clearance, depth| {
             let room = (clearance / CLEARANCE_ENOUGH_M).min(1.0);
@@ -229,7 +197,7 @@ impl ToolLocation {
 
     /// Finds the location with the thinnest tissue (at least two spacings) above a pinned part, with room for a
     /// tool.
-    pub fn find_thin(topology: &Topology) -> Result<Self, ToolLocationError> {
+    pub fn find_thin(topology: &Topology) -> Result<Self, String> {
         let skin = Skin::new(topology);
         let least = 2.0 * topology.model().spacing_m;
         let found = skin.middle(|clearance, depth| {
@@ -241,7 +209,7 @@ impl ToolLocation {
 
     /// Surface points with room for a tool each, by farthest-point sampling. Returns fewer than `n` if the
     /// surface has no more.
-    pub fn spread(topology: &Topology, n: usize) -> Result<Vec<SurfacePoint>, ToolLocationError> {
+    pub fn spread(topology: &Topology, n: usize) -> Result<Vec<SurfacePoint>, String> {
         let skin = Skin::new(topology);
         let at = |node: u32| topology.rest(node);
         let is_good = |node: &&u32| !skin.nodes[*node].is_bad;
@@ -254,7 +222,7 @@ impl ToolLocation {
         let some: Vec<u32> = good.iter().copied().step_by(step).collect();
         let roomy: Vec<u32> = some.iter().copied().filter(has_room).collect();
         let candidates = if roomy.is_empty() { some } else { roomy };
-        let first = *candidates.first().ok_or(ToolLocationError::Nowhere)?;
+        let first = *candidates.first().ok_or(NOWHERE)?;
         let apart = |a: u32, b: u32| (at(a) - at(b)).norm();
         let mut chosen = vec![first];
         let mut distance: Vec<f64> = candidates.iter().map(|c| apart(*c, first)).collect();
@@ -280,8 +248,8 @@ impl ToolLocation {
         topology: &Topology,
         skin: &Skin<'_>,
         found: Option<(u32, f64, f64)>,
-    ) -> Result<Self, ToolLocationError> {
-        let (node, clearance_m, depth_m) = found.ok_or(ToolLocationError::Nowhere)?;
+    ) -> Result<Self, String> {
+        let (node, clearance_m, depth_m) = found.ok_or(NOWHERE)?;
         let middle = topology.rest(node);
         let reach = clearance_m.min(CLEARANCE_ENOUGH_M);
         let normal = mean_normal(skin, middle, reach).unwrap_or(skin.nodes[&node].normal);
@@ -331,7 +299,6 @@ impl ToolLocation {
         (self.clearance_m / CLEARANCE_ENOUGH_M).min(1.0)
     }
 
-    /// Separation of the two locations, m.
     pub fn separation_m(&self) -> f64 {
         2.0 * self.beside_m
     }

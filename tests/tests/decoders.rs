@@ -6,7 +6,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::path::Path;
 
-use palpate_lab::decoders::{ALL, Decoder};
+use palpate_lab::decoders::{self, Decoder};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -107,7 +107,7 @@ fn mixed(rng: &mut impl Rng, all: &[Vec<u8>]) -> Vec<u8> {
 #[test]
 fn every_example_is_valid() {
     let mut bad = Vec::new();
-    for decoder in ALL {
+    for decoder in decoders::all() {
         for (k, example) in (decoder.examples)().iter().enumerate() {
             if !check(decoder, example) {
                 bad.push((decoder.name, k));
@@ -119,7 +119,7 @@ fn every_example_is_valid() {
 
 #[test]
 fn truncated_and_bit_flipped_examples_are_errors_or_valid() {
-    for decoder in ALL {
+    for decoder in decoders::all() {
         for example in (decoder.examples)() {
             let step = example.len().div_ceil(WHOLLY).max(1);
             for at in (0..example.len()).step_by(step) {
@@ -136,7 +136,7 @@ fn truncated_and_bit_flipped_examples_are_errors_or_valid() {
 
 #[test]
 fn corpus_and_its_mixtures_are_errors_or_valid() {
-    for decoder in ALL {
+    for decoder in decoders::all() {
         let mut all = (decoder.examples)();
         all.extend(corpus(decoder));
         for bytes in &all {

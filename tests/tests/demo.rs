@@ -64,10 +64,11 @@ fn trainees_and_late_spectator_share_one_cut_tissue() {
     let names: Vec<&str> = report
         .participants
         .iter()
-        .map(|p| p.name.as_str())
+        .map(|p| p.summary.name.as_str())
         .collect();
     assert_eq!(names, ["holder", "cutter", "spectator"]);
     for p in &report.participants {
+        let p = &p.summary;
         assert_eq!(p.topology_hash, report.server.topology_hash, "{}", p.name);
         assert_eq!(p.topology_version, report.server.topology_version);
     }

@@ -34,7 +34,7 @@ pub struct ListeningModel {
 }
 
 /// The last object of `host --json`.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct HostSummary {
     /// Solved ticks.
     pub ticks: u64,

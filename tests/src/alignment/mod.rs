@@ -28,8 +28,6 @@ use two_sites::{Moment, TwoSites};
 
 /// Warm-up that is not measured, microseconds: clocks and delays settle.
 pub const WARM_UP_US: i64 = 10_000_000;
-
-/// Measured time, microseconds.
 pub const COUNTED_US: i64 = 60_000_000;
 
 /// Maximum 95th percentile of a safe disagreement, millimetres.
@@ -37,18 +35,12 @@ pub const SAFE_MM: f64 = 0.1;
 
 /// Maximum shown step that is safe, millimetres.
 pub const STEP_SAFE_MM: f64 = 1.0;
-
-/// Maximum fixed delay that is tried, milliseconds.
 const FIXED_MAX_MS: u32 = 1000;
 
-/// Compensation mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mode {
-    /// No compensation.
     None,
-    /// Fixed delay, milliseconds.
     Fixed(u32),
-    /// Adaptive delay.
     Adaptive,
     /// The server's prediction instead of a delay: the alternative reading of the source.
     Predicted,
@@ -71,32 +63,22 @@ impl Mode {
     }
 }
 
-/// Disagreement in millimetres.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Disagreement {
-    /// Root mean square.
     pub rms: f64,
-    /// 95th percentile.
     pub p95: f64,
-    /// Maximum.
     pub max: f64,
 }
 
-/// Playout delay D in milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Compensation {
-    /// Mean.
     pub mean: f64,
-    /// 95th percentile.
     pub p95: f64,
 }
 
-/// Results of an alignment.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Figures {
-    /// Distance between the two sites' shown positions.
     pub disagreement_mm: Disagreement,
-    /// Playout delay.
     pub compensation_ms: Compensation,
     /// Number of changes of the disagreement by more than 1 mm in one millisecond.
     pub corrections_over_1mm: u64,
@@ -105,12 +87,10 @@ pub struct Figures {
 }
 
 impl Figures {
-    /// Whether two participants can work together safely.
     pub fn is_safe(&self) -> bool {
         self.disagreement_mm.p95 <= SAFE_MM && self.corrections_over_1mm == 0
     }
 
-    /// Results of a series of moments.
     pub fn of(moments: &[Moment]) -> Self {
         let mut distances = Vec::with_capacity(2 * moments.len());
         let (mut over, mut stale) = (0, 0);
@@ -146,7 +126,6 @@ impl Figures {
     }
 }
 
-/// Delivered share of the samples of both hands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Arrivals {
     /// Samples that arrived at the other site, each counted once.
@@ -160,7 +139,6 @@ impl Arrivals {
     /// most of the shown motion would be at rest.
     const SHARE_MIN: f64 = 0.01;
 
-    /// Whether the sites can be compared.
     pub fn are_enough(self) -> bool {
         self.arrived as f64 >= Self::SHARE_MIN * self.of as f64
     }
@@ -185,25 +163,13 @@ fn percentile(values: &mut [f64], p: f64) -> f64 {
 /// An alignment whose sites both reach the server over the same kind of network.
 #[derive(Clone)]
 pub struct Alignment {
-    /// The network of each site.
     pub profile: Profile,
-    /// Seed that reproduces the alignment.
     pub seed: u64,
     /// Recorded motion for both hands with different offsets; `None` selects random motions.
     pub motion: Option<Arc<dyn Hand>>,
 }
 
 impl Alignment {
-    /// An alignment with random motions.
-    pub fn new(profile: Profile, seed: u64) -> Self {
-        Self {
-            profile,
-            seed,
-            motion: None,
-        }
-    }
-
-    /// All measured moments.
     pub fn moments(&self, mode: Mode) -> Vec<Moment> {
         let mut moments = Vec::with_capacity((COUNTED_US / 1000) as usize);
         self.simulation(mode)
@@ -213,7 +179,6 @@ impl Alignment {
         moments
     }
 
-    /// The session before its start.
     pub fn simulation(&self, mode: Mode) -> TwoSites {
         // Two generators separate the seed of the network from those of hands and clocks.
         let mut rng = Pcg64::seed_from_u64(self.seed ^ 0x70_61_74_68);
@@ -244,7 +209,6 @@ impl Alignment {
         arrivals
     }
 
-    /// Results of a mode.
     pub fn figures(&self, mode: Mode) -> Figures {
         Figures::of(&self.moments(mode))
     }

@@ -5,11 +5,8 @@ use palpate_protocol::request::DelayReport;
 use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{ServerTime, ToolSample};
 
-/// The server's predictor.
 pub(super) struct Predictor {
-    /// Each site's tool from the samples at the server.
     tools: [Timeline; 2],
-    /// Prediction horizon for each receiving site.
     ahead: [Prediction; 2],
 }
 
@@ -24,7 +21,6 @@ impl Default for Predictor {
 }
 
 impl Predictor {
-    /// Receives a site's delay report.
     pub(super) fn handle_report(&mut self, site: usize, report: DelayReport, now: ServerTime) {
         self.ahead[site].handle_report(report, now);
     }

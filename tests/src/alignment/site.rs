@@ -11,7 +11,6 @@ use palpate_protocol::{ServerTime, Span, ToolSample};
 use crate::hand::Hand;
 use crate::simulated_session::SiteClock;
 
-/// A site of the alignment.
 pub(super) struct Site {
     pub hand: Arc<dyn Hand>,
     pub clock: ClockEstimate,
@@ -22,7 +21,6 @@ pub(super) struct Site {
     pub batch: Vec<ToolSample>,
     /// Time of the real sample behind the newest prediction.
     pub predicted_from: Option<ServerTime>,
-    /// Horizon of that prediction.
     pub predicted_ahead: Option<Span>,
     /// The local clock; `clock` estimates the server's time from it.
     pub own_clock: SiteClock,
@@ -47,7 +45,6 @@ impl Site {
         }
     }
 
-    /// Estimated server time.
     pub(super) fn server_time(&self, true_us: i64) -> Option<ServerTime> {
         let map: ClockMap = self.clock.map()?;
         Some(map.to_server(self.own_clock.at(true_us)))
@@ -67,7 +64,6 @@ impl Site {
         Some(())
     }
 
-    /// Receives samples of the other tool.
     pub(super) fn handle_samples(&mut self, samples: &[ToolSample], true_us: i64) {
         let (Some(newest), Some(now)) = (samples.last(), self.server_time(true_us)) else {
             return;
@@ -94,7 +90,6 @@ impl Site {
         self.views[1].insert(sample);
     }
 
-    /// Receives a change of D.
     pub(super) fn handle_change(&mut self, delay_us: u32, effective_at: ServerTime, true_us: i64) {
         match self.server_time(true_us) {
             Some(now) => (self.schedule).handle_late_change(delay_us, effective_at, now),
@@ -102,7 +97,6 @@ impl Site {
         }
     }
 
-    /// Both tools as shown now.
     pub(super) fn shown(&mut self, true_us: i64) -> Option<[Shown; 2]> {
         let moment = self.schedule.shown_at(self.server_time(true_us)?);
         let [own, other] = &mut self.views;

@@ -10,9 +10,18 @@ const NOTHING_MM: f64 = 0.005;
 
 const ADAPTIVE: Mode = Mode::Adaptive;
 
+/// An alignment with random motions.
+fn alignment(profile: Profile, seed: u64) -> Alignment {
+    Alignment {
+        profile,
+        seed,
+        motion: None,
+    }
+}
+
 /// An alignment over a named network.
 fn over(name: &str, seed: u64) -> Alignment {
-    Alignment::new(Profile::named(name).unwrap(), seed)
+    alignment(Profile::named(name).unwrap(), seed)
 }
 
 /// From site to site 50 ms with a little jitter, and occasional bursts of 120 ms that last 0.1 to 0.4 s on all
@@ -39,7 +48,7 @@ fn over_bursts(seed: u64) -> Alignment {
         reorder: true,
         ..Link::default()
     };
-    Alignment::new(Profile::both("bursts on all links", link), seed)
+    alignment(Profile::both("bursts on all links", link), seed)
 }
 
 /// Checks that fixed delays below the adaptive mean divided by `factor` are unsafe.
@@ -158,7 +167,7 @@ fn session_survives_outages_and_recorded_losses() {
     let text = "name = \"recorded\"\n[both]\ntrace = \"lost.csv\"\n";
     let recorded = Profile::from_toml(text, &dir.path().join("recorded.toml")).unwrap();
     for profile in [Profile::named("outages").unwrap(), recorded] {
-        let figures = Alignment::new(profile, 1).figures(ADAPTIVE);
+        let figures = alignment(profile, 1).figures(ADAPTIVE);
         // The outages cover 2.5 % and 5 % of the time; the sites agree otherwise.
         assert!(figures.disagreement_mm.p95 <= 1.0, "{figures:?}");
         let delay_ms = figures.compensation_ms;
@@ -172,7 +181,7 @@ fn session_terminates_on_a_network_that_loses_every_packet() {
         loss: 1.0,
         ..Link::default()
     };
-    let alignment = Alignment::new(Profile::both("dead", dead), 1);
+    let alignment = alignment(Profile::both("dead", dead), 1);
     let mut shown = 0;
     let mut simulation = alignment.simulation(ADAPTIVE);
     simulation.run(0, 5_000_000, &mut |_| shown += 1);

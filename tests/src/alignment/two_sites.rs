@@ -18,22 +18,17 @@ use crate::network::{Direction, Profile};
 use crate::simulated_session::SiteClock;
 use crate::simulated_session::links::{Arrived, Delivery, Links, Part, Payload};
 
-/// Period of hand samples and views, microseconds.
 const TICK_US: i64 = 1000;
-/// Samples per packet.
 const BATCH: usize = 4;
 /// Interval between a site's delay reports, microseconds, as in the client.
 const REPORT_US: i64 = 250_000;
 /// Interval between clock probes, microseconds: before and after the clock lock.
 const PROBE_US: [i64; 2] = [20_000, 100_000];
-/// Retransmission timeout of the ordered stream, microseconds.
 const RESEND_US: i64 = 100_000;
 /// Size of a packet in bytes, for links with limited bandwidth.
 const PACKET_BYTES: usize = 120;
-/// Maximum drift of a site's clock (50 ppm).
 const DRIFT_MAX: f64 = 50e-6;
 
-/// Content of a packet.
 #[derive(Debug)]
 enum Packet {
     SamplesUp(Vec<ToolSample>),
@@ -65,15 +60,12 @@ impl Payload for Packet {
 /// Both tools as both sites show them at one time.
 #[derive(Debug, Clone, Copy)]
 pub struct Moment {
-    /// True time, seconds.
     pub time_s: f64,
     /// Position of the first tool as shown by its own site and by the other site, metres.
     pub first: [[f64; 3]; 2],
     /// Position of the second tool, in the same order.
     pub second: [[f64; 3]; 2],
-    /// Whether a shown tool is stale.
     pub stale: bool,
-    /// Playout delay D at the first site, milliseconds.
     pub delay_ms: f64,
     /// Age of the second tool's newest sample at the first site, milliseconds.
     pub age_ms: f64,
@@ -92,15 +84,12 @@ impl Moment {
     }
 }
 
-/// A simulated session of two sites and a server.
 pub struct TwoSites {
     sites: [Site; 2],
     links: Links<Packet>,
     group: GroupDelay,
-    /// The server's delay estimate of each site's samples.
     measured: [DelayEstimator; 2],
     schedule: DelaySchedule,
-    /// The server's predictor in prediction mode.
     predictor: Option<Predictor>,
     probe_due_us: [i64; 2],
     report_due_us: [i64; 2],
@@ -109,7 +98,6 @@ pub struct TwoSites {
 }
 
 impl TwoSites {
-    /// A session of two hands over a network.
     pub fn new(
         settings: &CompensationSettings,
         (profile, network_seed): (&Profile, u64),
@@ -164,17 +152,14 @@ impl TwoSites {
         }
     }
 
-    /// Sets the clock of a site.
     pub fn set_clock(&mut self, site: usize, by_us: i64) {
         self.sites[site].own_clock.step(by_us);
     }
 
-    /// Number of clock steps that each site has detected.
     pub fn clock_steps(&self) -> [u64; 2] {
         [0, 1].map(|k| self.sites[k].clock.steps())
     }
 
-    /// Samples that arrived at the other site so far, over both sites.
     pub fn arrived(&self) -> u64 {
         self.arrived
     }

@@ -13,15 +13,12 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use palpate_tissue::{Budget, CutOutcome, Mechanism, Model, Shape, Solver, Tool, Topology, Vec3};
 use serde::Serialize;
 
-use super::Benchmark;
 use super::wound::Wound;
-use crate::progress::Progress;
+use super::{Benchmark, OnStage};
 use crate::test_model::TestModel;
 use crate::tool_location::ToolLocation;
 
-/// Radius of the sphere, m.
 const RADIUS_M: f64 = 8e-3;
-/// Tick, s.
 const TICK_S: f64 = 4e-3;
 /// Maximum depth, m, and as a share of the soft tissue.
 const DEPTH_MAX_M: f64 = 15e-3;
@@ -41,14 +38,11 @@ const SLIDE: usize = 60;
 const QUICK: f64 = 2.5e-2;
 /// Maximum iterations and tolerance of the converged solution.
 const CONVERGED: (usize, f64) = (200, 1e-4);
-/// Every N-th tick has a converged solution.
 const CONVERGED_EVERY: usize = 3;
 /// Times that each variant is measured; the fastest counts for every tick.
 const REPEATS: usize = 2;
-/// Phases of a course, in their order.
 const PHASES: [&str; 5] = ["press", "slide", "withdraw", "fast", "jump"];
 
-/// Errors and time of one phase.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct PhaseFigures {
     /// Rms of the force error relative to the rms of the force, percent.
@@ -68,24 +62,18 @@ pub struct PhaseFigures {
 pub struct Variant {
     /// Name of the mechanism that is switched off; `none` for the whole solver.
     pub without: &'static str,
-    /// Figures of press, slide, withdrawal, fast strokes and jumps.
     pub phases: [PhaseFigures; PHASES.len()],
 }
 
-/// All variants of one scene.
 #[derive(Debug, Clone, Serialize)]
 pub struct Ablation {
-    /// Name of the scene.
     pub scene: String,
-    /// Nodes of the model.
     pub nodes: usize,
-    /// Largest residual of the converged solutions.
     pub converged_residual: f64,
     /// The whole solver first, then one variant per mechanism.
     pub variants: Vec<Variant>,
 }
 
-/// A tool course on a model.
 struct Course {
     name: String,
     topology: Topology,
@@ -96,7 +84,6 @@ struct Course {
     cut: Option<(Topology, CutOutcome)>,
 }
 
-/// One step.
 #[derive(Debug, Clone, Copy)]
 struct Step {
     /// Force on the tool, N.
@@ -116,7 +103,7 @@ impl Course {
         place.sag(&topology, &solver);
         let cut = if cuts {
             let mut after = topology.clone();
-            let (_, outcome) = Wound::open_with(&mut after, &mut place)?;
+            let (_, outcome) = Wound::open(&mut after, &mut place)?;
             Some((after, outcome))
         } else {
             None
@@ -209,7 +196,6 @@ impl Course {
         (run, residual)
     }
 
-    /// Compares a run with the converged one, phase by phase.
     fn figures(&self, run: &Run, converged: &Run) -> [PhaseFigures; PHASES.len()] {
         std::array::from_fn(|phase| {
             let in_phase = |run: &Run| -> Vec<Option<Step>> {
@@ -250,7 +236,7 @@ impl Course {
         &self,
         mechanisms: &[Mechanism],
         iterations: usize,
-        progress: &mut dyn FnMut(&str),
+        progress: &mut OnStage<'_>,
     ) -> Ablation {
         progress(&format!("{}: converged solutions", self.name));
         let (converged, converged_residual) = self.run(None, CONVERGED, CONVERGED_EVERY);
@@ -303,17 +289,15 @@ fn mechanisms() -> impl TypedValueParser<Value = Mechanism> {
     })
 }
 
-/// The ablation on every scene.
 #[derive(Debug, Clone, Serialize)]
 pub struct Ablations {
-    /// One per scene.
     pub scenes: Vec<Ablation>,
 }
 
 impl Benchmark for Ablate {
     type Report = Ablations;
 
-    fn measure(&self, progress: &mut Progress) -> Result<Ablations, String> {
+    fn measure(&self, progress: &mut OnStage<'_>) -> Result<Ablations, String> {
         let mechanisms: &[Mechanism] = match &self.mechanisms[..] {
             [] => Mechanism::ALL,
             some => some,
@@ -326,7 +310,7 @@ impl Benchmark for Ablate {
                 let model = Arc::clone(&model);
                 let run = || -> Result<Ablation, String> {
                     let course = Course::new(name, model, cuts)?;
-                    Ok(course.ablate(mechanisms, iterations, &mut |stage| progress.tick(stage)))
+                    Ok(course.ablate(mechanisms, iterations, progress))
                 };
                 super::on_threads(1, run)?
             };

@@ -5,19 +5,15 @@
 //! over a real connection through a relay; this measures the overhead of QUIC. The model download is excluded.
 
 use std::fmt;
-use std::sync::Arc;
 
-use clap::Args;
-use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+use clap::{Args, ValueEnum};
 use palpate_server::host::TICK_HZ;
-use palpate_tissue::Model;
 use serde::Serialize;
 
-use super::{Benchmark, quic};
+use super::{Benchmark, OnStage, quic};
 use crate::network::{Direction, Profile};
-use crate::progress::Progress;
 use crate::scripts::{SECONDS_MIN, Scripts};
-use crate::simulated_session::{Part, Sent, SessionResult, SimulatedSession};
+use crate::simulated_session::{Part, Sent, SessionResult, SimulatedSession, adaptive};
 use crate::test_model::TestModel;
 
 /// Maximum bandwidth of a full subscriber, kbit/s of UDP payload, uplink and downlink.
@@ -27,7 +23,6 @@ pub const LIMIT_KBIT_S: [f64; 2] = [100.0, 150.0];
 const DELAY_US: u32 = 60_000;
 const DELAY_CAP_US: u32 = 400_000;
 
-/// Options of the bench.
 #[derive(Debug, Clone, Args)]
 pub struct Bytes {
     /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
@@ -47,7 +42,7 @@ pub struct Bytes {
 impl Benchmark for Bytes {
     type Report = BytesReport;
 
-    fn measure(&self, progress: &mut Progress) -> Result<BytesReport, String> {
+    fn measure(&self, progress: &mut OnStage<'_>) -> Result<BytesReport, String> {
         if !(SECONDS_MIN..=60.0).contains(&self.seconds) {
             return Err(format!(
                 "--seconds {} must be from {SECONDS_MIN} to 60",
@@ -55,86 +50,13 @@ impl Benchmark for Bytes {
             ));
         }
         let model = TestModel::in_memory(&self.model, progress)?;
-        self.run(&model, &mut |what| progress.tick(what))
-    }
-}
-
-/// One direction of one session, kbit/s.
-#[derive(Debug, Clone, Default, Serialize)]
-pub struct Flow {
-    /// Uplink or downlink.
-    pub direction: &'static str,
-    /// Tool motion.
-    pub motion: f64,
-    /// The operations stream.
-    pub operations: f64,
-    /// Node corrections.
-    pub corrections: f64,
-    /// Clock requests and responses.
-    pub clock: f64,
-    /// Delay reports of participants, and heartbeats.
-    pub delays: f64,
-    /// Share of acknowledgements in all of these.
-    pub acknowledgements: f64,
-    /// Overhead of QUIC: headers, encryption tags, acknowledgements.
-    pub quic: f64,
-    /// Total UDP payload.
-    pub udp: f64,
-    /// UDP packets per second.
-    pub packets_per_s: f64,
-    /// Peak over one second, without the overhead of QUIC.
-    pub worst_second: f64,
-    /// Limit.
-    pub limit: f64,
-    /// Whether the total is within the limit.
-    pub ok: bool,
-}
-
-/// One session.
-#[derive(Debug, Clone, Serialize)]
-pub struct Subscriber {
-    /// Actions of the trainee.
-    pub does: &'static str,
-    /// Uplink, then downlink.
-    pub flows: [Flow; 2],
-}
-
-/// Result.
-#[derive(Debug, Clone, Serialize)]
-pub struct BytesReport {
-    /// Nodes of the model.
-    pub nodes: usize,
-    /// The network.
-    pub network: String,
-    /// Length of the scripts including the settling time, s.
-    pub seconds: f64,
-    /// Origin of the figures.
-    pub method: &'static str,
-    /// The holder (presses and holds), then the cutter (presses, cuts and presses).
-    pub subscribers: Vec<Subscriber>,
-    /// Whether both trainees are within the limits.
-    pub ok: bool,
-}
-
-impl Bytes {
-    /// Runs the measurement.
-    pub fn run(
-        &self,
-        model: &Arc<Model>,
-        progress: &mut dyn FnMut(&str),
-    ) -> Result<BytesReport, String> {
-        let scripts = Scripts::for_model(model, self.seconds)?;
+        let scripts = Scripts::for_model(&model, self.seconds)?;
         let session = SimulatedSession {
-            model,
+            model: &model,
             scripts: &[&scripts.holder, &scripts.cutter],
             profile: &self.profile,
             seed: self.seed,
-            compensation: CompensationSettings {
-                mode: CompensationMode::Adaptive {
-                    cap_us: DELAY_CAP_US,
-                },
-                initial_delay_us: DELAY_US,
-            },
+            compensation: adaptive(DELAY_US, DELAY_CAP_US),
             tick_hz: TICK_HZ,
             thin_spectator_count: 0,
             motion_only: false,
@@ -165,7 +87,49 @@ impl Bytes {
             ok,
         })
     }
+}
 
+/// One direction of one session, kbit/s.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Flow {
+    pub direction: &'static str,
+    pub motion: f64,
+    pub operations: f64,
+    pub corrections: f64,
+    pub clock: f64,
+    pub delays: f64,
+    /// Share of acknowledgements in all of these.
+    pub acknowledgements: f64,
+    pub quic: f64,
+    /// Total UDP payload.
+    pub udp: f64,
+    pub packets_per_s: f64,
+    /// Peak over one second, without the overhead of QUIC.
+    pub worst_second: f64,
+    pub limit: f64,
+    pub ok: bool,
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct Subscriber {
+    pub does: &'static str,
+    /// Uplink, then downlink.
+    pub flows: [Flow; 2],
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct BytesReport {
+    pub nodes: usize,
+    pub network: String,
+    /// Length of the scripts including the settling time, s.
+    pub seconds: f64,
+    pub method: &'static str,
+    /// The holder (presses and holds), then the cutter (presses, cuts and presses).
+    pub subscribers: Vec<Subscriber>,
+    pub ok: bool,
+}
+
+impl Bytes {
     fn subscriber(
         &self,
         simulated: &SessionResult,
@@ -188,6 +152,22 @@ impl Bytes {
 }
 
 impl Flow {
+    /// The columns of the text.
+    fn cells(&self) -> [(&'static str, f64); 10] {
+        [
+            ("motion", self.motion),
+            ("operations", self.operations),
+            ("corrections", self.corrections),
+            ("clock", self.clock),
+            ("delays", self.delays),
+            ("(acks)", self.acknowledgements),
+            ("QUIC", self.quic),
+            ("UDP", self.udp),
+            ("limit", self.limit),
+            ("packets/s", self.packets_per_s),
+        ]
+    }
+
     fn of(sent: &[Sent], direction: Direction, seconds: f64, udp: quic::Added, limit: f64) -> Self {
         let kbit = |bytes: f64| bytes * 8e-3 / seconds;
         let this: Vec<&Sent> = sent.iter().filter(|s| s.direction == direction).collect();
@@ -201,7 +181,7 @@ impl Flow {
             *by_second.entry(packet.at_us / 1_000_000).or_default() += f64::from(packet.bytes);
         }
         let worst = by_second.values().copied().fold(0.0, f64::max) * 8e-3;
-        let own: f64 = Part::ALL.into_iter().map(part).sum();
+        let own: f64 = Part::value_variants().iter().copied().map(part).sum();
         let quic = kbit(udp.bytes);
         Self {
             direction: match direction {
@@ -232,37 +212,14 @@ impl fmt::Display for BytesReport {
             self.nodes, self.network, self.seconds, self.method
         )?;
         write!(f, "{:<28}{:<6}", "", "")?;
-        for head in [
-            "motion",
-            "operations",
-            "corrections",
-            "clock",
-            "delays",
-            "(acks)",
-            "QUIC",
-            "UDP",
-            "limit",
-            "packets/s",
-        ] {
+        for (head, _) in self.subscribers[0].flows[0].cells() {
             write!(f, "{head:>12}")?;
         }
         for subscriber in &self.subscribers {
             for flow in &subscriber.flows {
                 write!(f, "\n{:<28}{:<6}", subscriber.does, flow.direction)?;
-                let all = [
-                    flow.motion,
-                    flow.operations,
-                    flow.corrections,
-                    flow.clock,
-                    flow.delays,
-                    flow.acknowledgements,
-                    flow.quic,
-                    flow.udp,
-                    flow.limit,
-                    flow.packets_per_s,
-                ];
-                for kbit in all {
-                    write!(f, "{kbit:>12.2}")?;
+                for (_, value) in flow.cells() {
+                    write!(f, "{value:>12.2}")?;
                 }
             }
         }

@@ -21,14 +21,12 @@ use palpate_protocol::{Epoch, ParticipantId, Pose, ServerTime, Span, ToolSample,
 use palpate_tissue::{Budget, Material, Shape, Solver, Topology, Vec3, block};
 use serde::Serialize;
 
-use super::Benchmark;
+use super::{Benchmark, OnStage};
 use crate::hand::{Hand, HandParameters, Random};
-use crate::progress::Progress;
 
 /// New samples per batch; the last older one is repeated.
 const BATCH: usize = 4;
-
-/// Number of batches: 20 s.
+/// 20 s of batches.
 const BATCHES: usize = 5000;
 
 /// Nodes per edge of the block, and its side, m.
@@ -42,17 +40,11 @@ const DEPTH_M: f64 = 6e-3;
 /// Frames per second, and frames of the press and release.
 const FRAME_HZ: i64 = 60;
 const FRAMES: usize = 120;
-
-/// Quantisation of displacements, µm: visually smooth.
 const STEP_UM: u16 = 50;
-
 /// Levels of deflate: the fastest and the smallest.
 const LEVELS: [u32; 2] = [1, 9];
-
-/// Rotation per travel of the hand, rad/m.
 const TURN_RAD_PER_M: f64 = 8.0;
 
-/// Options of the bench.
 #[derive(Debug, Clone, Copy, Args)]
 pub struct Coding {
     /// Round trip after which both ends know the sent data, in ms
@@ -66,42 +58,44 @@ pub struct Coding {
 impl Benchmark for Coding {
     type Report = CodingReport;
 
-    fn measure(&self, _: &mut Progress) -> Result<CodingReport, String> {
-        self.run()
+    fn measure(&self, _: &mut OnStage<'_>) -> Result<CodingReport, String> {
+        let poses = BATCH * BATCHES;
+        let motion = self.motion()?;
+        let (nodes, press) = self.press()?;
+        let node = press.per(nodes * FRAMES);
+        Ok(CodingReport {
+            round_trip_ms: self.round_trip_ms,
+            seed: self.seed,
+            poses,
+            pose: motion.per(poses),
+            motion_datagram_bytes: motion.ours as f64 / BATCHES as f64,
+            nodes,
+            frames: FRAMES,
+            node,
+            node_kbit_per_s: node.ours * nodes as f64 * FRAME_HZ as f64 / 1e3,
+        })
     }
 }
 
 /// Bits per pose or node, headers included.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Bits {
-    /// The codec of this project.
     pub ours: f64,
-    /// Deflate level 1 of the differences.
     pub deflate_1: f64,
-    /// Deflate level 9 of the differences.
     pub deflate_9: f64,
-    /// Four-byte numbers.
     pub raw: f64,
 }
 
-/// Figures of a run.
 #[derive(Debug, Clone, Serialize)]
 pub struct CodingReport {
-    /// Round trip, ms.
     pub round_trip_ms: i64,
-    /// Seed of the hand.
     pub seed: u64,
-    /// Number of poses.
     pub poses: usize,
     /// Bits per new pose: position, rotation, time, buttons.
     pub pose: Bits,
-    /// Bytes of a motion datagram of this project.
     pub motion_datagram_bytes: f64,
-    /// Nodes of the block.
     pub nodes: usize,
-    /// Number of frames.
     pub frames: usize,
-    /// Bits per node and frame.
     pub node: Bits,
     /// kbit/s of this project at 60 frames per second, without the overhead of QUIC.
     pub node_kbit_per_s: f64,
@@ -157,7 +151,6 @@ impl Direction {
         }
     }
 
-    /// The bytes of a datagram at `now`.
     fn send(&mut self, body: Body, now: ServerTime) -> Result<usize, String> {
         let (memory, round_trip) = (&mut self.memory, self.round_trip);
         self.on_the_way.retain(|(sent, sequence)| {
@@ -201,29 +194,6 @@ fn integers(sample: &ToolSample) -> [i32; 7] {
 }
 
 impl Coding {
-    /// Runs the bench.
-    ///
-    /// # Errors
-    ///
-    /// If a message cannot be encoded.
-    pub fn run(&self) -> Result<CodingReport, String> {
-        let poses = BATCH * BATCHES;
-        let motion = self.motion()?;
-        let (nodes, press) = self.press()?;
-        let node = press.per(nodes * FRAMES);
-        Ok(CodingReport {
-            round_trip_ms: self.round_trip_ms,
-            seed: self.seed,
-            poses,
-            pose: motion.per(poses),
-            motion_datagram_bytes: motion.ours as f64 / BATCHES as f64,
-            nodes,
-            frames: FRAMES,
-            node,
-            node_kbit_per_s: node.ours * nodes as f64 * FRAME_HZ as f64 / 1e3,
-        })
-    }
-
     fn motion(&self) -> Result<Sums, String> {
         let place = Random::new(HandParameters::default(), self.seed);
         let turn = Random::new(HandParameters::default(), self.seed.wrapping_add(1));
@@ -364,7 +334,7 @@ mod tests {
             round_trip_ms: 50,
             seed: 1,
         };
-        let report = run.run().unwrap();
+        let report = run.measure(&mut |_| ()).unwrap();
         for bits in [report.pose, report.node] {
             assert!(bits.deflate_1 > 0.0 && bits.deflate_9 > 0.0, "{report}");
             assert!(bits.ours < bits.deflate_9.min(bits.deflate_1), "{report}");

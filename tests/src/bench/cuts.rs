@@ -27,19 +27,16 @@ use palpate_site::{
     CutOrder, CutWorkerEvent, HAPTIC_PERIOD, Prefetch, Site, SiteError, VIEW_ITERATIONS,
     VIEW_TOLERANCE, View, ViewUpdate, hand_budget, tissue_stroke,
 };
-use palpate_tissue::{Budget, Model, Topology, cut};
+use palpate_tissue::{Budget, Topology, cut};
 use serde::Serialize;
 
-use super::{Benchmark, quantile};
-use crate::progress::Progress;
+use super::{Benchmark, OnStage, quantile};
 use crate::test_model::TestModel;
 use crate::tool_location::ToolLocation;
 
-/// Radius of the probe, m.
 const RADIUS_M: f64 = 8e-3;
 /// Time before the first cut, between cuts and after the last one, ms.
 const APART_MS: i64 = 500;
-/// Solver steps of the initial press.
 const BEGINNING: usize = 50;
 /// Steps around the application of a cut that belong to it, half of them before.
 const AROUND: usize = 10;
@@ -56,13 +53,11 @@ const CUT_DEPTH_M: f64 = 0.012;
 const BESIDE_M: f64 = 0.014;
 /// Blade length outside the tissue, m.
 const OUTSIDE_M: f64 = 0.006;
-/// Points of a stroke.
 const POINTS: usize = 20;
 
 const ME: ParticipantId = ParticipantId(1);
 const SURGEON: ParticipantId = ParticipantId(2);
 
-/// Options of the bench.
 #[derive(Debug, Clone, Args)]
 pub struct CutLoad {
     /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
@@ -82,110 +77,19 @@ pub struct CutLoad {
 impl Benchmark for CutLoad {
     type Report = CutsReport;
 
-    fn measure(&self, progress: &mut Progress) -> Result<CutsReport, String> {
+    fn measure(&self, progress: &mut OnStage<'_>) -> Result<CutsReport, String> {
         if !(0.5..=30.0).contains(&self.depth_mm) {
             let depth = self.depth_mm;
             return Err(format!("--depth-mm {depth} must be from 0.5 to 30"));
         }
         let model = TestModel::in_memory(&self.model, progress)?;
-        self.run(&model, &mut |what| progress.stage(what))
-    }
-}
-
-/// Processor time per work item, ms.
-#[derive(Debug, Clone, Copy, Serialize)]
-pub struct Work {
-    /// Number of items.
-    pub count: usize,
-    /// Mean.
-    pub mean_ms: f64,
-    /// Median.
-    pub p50_ms: f64,
-    /// 99th percentile.
-    pub p99_ms: f64,
-    /// Maximum.
-    pub max_ms: f64,
-}
-
-impl Work {
-    fn of(times: &[f64]) -> Self {
-        Self {
-            count: times.len(),
-            mean_ms: times.iter().sum::<f64>() / times.len().max(1) as f64,
-            p50_ms: quantile(times, 0.5),
-            p99_ms: quantile(times, 0.99),
-            max_ms: quantile(times, 1.0),
-        }
-    }
-}
-
-/// One cut, seen from the solver.
-#[derive(Debug, Clone, Serialize)]
-pub struct AtCut {
-    /// Time from its due time to the step that applied it, ms.
-    pub late_ms: f64,
-    /// Longest of the ten steps around it, processor time in ms.
-    pub worst_ms: f64,
-    /// Step that copied the state for the cut worker, ms.
-    pub copied_ms: f64,
-    /// Force change in the step that applied it, N.
-    pub jump_n: f64,
-    /// Force before it, N.
-    pub force_n: f64,
-}
-
-/// Figures of a run.
-#[derive(Debug, Clone, Serialize)]
-pub struct CutsReport {
-    /// Nodes of the model.
-    pub nodes: usize,
-    /// Solver steps without a cut.
-    pub steps: Work,
-    /// Processor time of the solver thread per second, in cores.
-    pub hand_cores: f64,
-    /// Views.
-    pub views: Work,
-    /// Processor time of the view thread per second, in cores.
-    pub view_cores: f64,
-    /// Processor time of the cut worker per cut, ms.
-    pub worker_ms: f64,
-    /// Solver steps in contact without a usable model.
-    pub unusable: usize,
-    /// Longest step around all cuts, ms.
-    pub worst_ms: f64,
-    /// Cuts.
-    pub cuts: Vec<AtCut>,
-}
-
-/// One solver step.
-struct Step {
-    ms: f64,
-    force: Vector3<f64>,
-    is_usable: bool,
-    version: u32,
-    /// Whether it copied the state.
-    copies: bool,
-    at: ServerTime,
-}
-
-impl CutLoad {
-    /// Runs the bench.
-    ///
-    /// # Errors
-    ///
-    /// If there is no location to press and cut, or a replica differs.
-    pub fn run(
-        &self,
-        model: &Arc<Model>,
-        progress: &mut dyn FnMut(&str),
-    ) -> Result<CutsReport, String> {
         let cuts = usize::from(self.cuts);
         let delay = Span::from_millis(i64::from(self.delay_ms));
-        let topology = Topology::new(Arc::clone(model));
-        let location = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
+        let topology = Topology::new(Arc::clone(&model));
+        let location = ToolLocation::find(&topology)?;
         progress("making the cuts");
         let mut operations = operations(cuts, topology.clone(), &location)?;
-        let mut site = Site::new(&welcome(&topology, delay), Arc::clone(model), None);
+        let mut site = Site::new(&welcome(&topology, delay), Arc::clone(&model), None);
         let mut now = ClientTime::ZERO;
         for event in [
             ClientEvent::CaughtUp,
@@ -235,8 +139,71 @@ impl CutLoad {
             seconds,
         ))
     }
+}
 
-    /// Probe pose at `t` seconds after the beginning.
+/// Processor time per work item, ms.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Work {
+    pub count: usize,
+    pub mean_ms: f64,
+    pub p50_ms: f64,
+    pub p99_ms: f64,
+    pub max_ms: f64,
+}
+
+impl Work {
+    fn of(times: &[f64]) -> Self {
+        Self {
+            count: times.len(),
+            mean_ms: times.iter().sum::<f64>() / times.len().max(1) as f64,
+            p50_ms: quantile(times, 0.5),
+            p99_ms: quantile(times, 0.99),
+            max_ms: quantile(times, 1.0),
+        }
+    }
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct AtCut {
+    /// Time from its due time to the step that applied it, ms.
+    pub late_ms: f64,
+    /// Longest of the ten steps around it, processor time in ms.
+    pub worst_ms: f64,
+    /// Step that copied the state for the cut worker, ms.
+    pub copied_ms: f64,
+    /// Force change in the step that applied it, N.
+    pub jump_n: f64,
+    /// Force before it, N.
+    pub force_n: f64,
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct CutsReport {
+    pub nodes: usize,
+    /// Solver steps without a cut.
+    pub steps: Work,
+    /// Processor time of the solver thread per second, in cores.
+    pub hand_cores: f64,
+    pub views: Work,
+    pub view_cores: f64,
+    /// Processor time of the cut worker per cut, ms.
+    pub worker_ms: f64,
+    /// Solver steps in contact without a usable model.
+    pub unusable: usize,
+    pub worst_ms: f64,
+    pub cuts: Vec<AtCut>,
+}
+
+struct Step {
+    ms: f64,
+    force: Vector3<f64>,
+    is_usable: bool,
+    version: u32,
+    copies: bool,
+    at: ServerTime,
+}
+
+impl CutLoad {
     fn pose(&self, location: &ToolLocation, t: f64) -> Pose {
         let wave = |(amplitude, hz): (f64, f64)| amplitude * (std::f64::consts::TAU * hz * t).sin();
         let reached = (t / 0.15).min(1.0);
@@ -249,7 +216,6 @@ impl CutLoad {
     }
 }
 
-/// Cuts beside the press as log operations, with the resulting hashes.
 fn operations(
     wanted: usize,
     mut topology: Topology,
@@ -371,7 +337,6 @@ impl Worker {
 }
 
 impl Step {
-    /// One iteration of the solver thread.
     fn make(
         site: &mut Site,
         worker: &mut Worker,

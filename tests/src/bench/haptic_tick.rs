@@ -19,19 +19,13 @@ use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 use palpate_protocol::ClientTime;
 use serde::Serialize;
 
-use super::Benchmark;
-use crate::progress::Progress;
+use super::{Benchmark, OnStage};
 
 /// Untimed ticks at the beginning: the soft start.
 const WARM: usize = 2000;
-
-/// Station counts of the tools.
 const CONTACTS: [usize; 3] = [1, 4, 16];
-
-/// Length of a line, m.
 const LENGTH_M: f64 = 0.04;
 
-/// Options of the bench.
 #[derive(Debug, Clone, Copy, Args)]
 pub struct HapticTick {
     /// Ticks of each device
@@ -42,72 +36,7 @@ pub struct HapticTick {
 impl Benchmark for HapticTick {
     type Report = HapticTickReport;
 
-    fn measure(&self, _: &mut Progress) -> Result<HapticTickReport, String> {
-        self.run()
-    }
-}
-
-/// Times of a part of a tick, µs.
-#[derive(Debug, Clone, Copy, Serialize)]
-pub struct Quantiles {
-    /// Median.
-    pub p50_us: f64,
-    /// 99th percentile.
-    pub p99_us: f64,
-    /// 99.9th percentile.
-    pub p999_us: f64,
-    /// Maximum.
-    pub max_us: f64,
-}
-
-impl Quantiles {
-    fn of(times: &[f64]) -> Self {
-        let at = |q| super::quantile(times, q);
-        Self {
-            p50_us: at(0.5),
-            p99_us: at(0.99),
-            p999_us: at(0.999),
-            max_us: at(1.0),
-        }
-    }
-}
-
-/// Times of one device and tool.
-#[derive(Debug, Clone, Serialize)]
-pub struct Times {
-    /// Name of the device.
-    pub device: String,
-    /// Stations of the tool.
-    pub contacts: usize,
-    /// Read, chain and write.
-    #[serde(flatten)]
-    pub tick: Quantiles,
-    /// The chain alone.
-    pub chain: Quantiles,
-    /// Ticks in contact.
-    pub in_contact: u64,
-    /// Ticks in which a station slid.
-    pub slip: u64,
-    /// Largest torque, N·m.
-    pub max_torque_nm: f64,
-}
-
-/// Times of all devices and tools.
-#[derive(Debug, Clone, Serialize)]
-pub struct HapticTickReport {
-    /// Ticks per device and tool.
-    pub ticks: u32,
-    /// One row per device and tool.
-    pub devices: Vec<Times>,
-}
-
-impl HapticTick {
-    /// Runs the bench.
-    ///
-    /// # Errors
-    ///
-    /// If a device cannot follow the script.
-    pub fn run(self) -> Result<HapticTickReport, String> {
+    fn measure(&self, _: &mut OnStage<'_>) -> Result<HapticTickReport, String> {
         let start = || ScriptStart::at(DeviceTime::ZERO);
         let script = script().map_err(|e| e.to_string())?;
         let mut devices = Vec::new();
@@ -127,7 +56,47 @@ impl HapticTick {
             devices,
         })
     }
+}
 
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Quantiles {
+    pub p50_us: f64,
+    pub p99_us: f64,
+    pub p999_us: f64,
+    pub max_us: f64,
+}
+
+impl Quantiles {
+    fn of(times: &[f64]) -> Self {
+        let at = |q| super::quantile(times, q);
+        Self {
+            p50_us: at(0.5),
+            p99_us: at(0.99),
+            p999_us: at(0.999),
+            max_us: at(1.0),
+        }
+    }
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct Times {
+    pub device: String,
+    pub contacts: usize,
+    #[serde(flatten)]
+    pub tick: Quantiles,
+    pub chain: Quantiles,
+    pub in_contact: u64,
+    pub slip: u64,
+    pub max_torque_nm: f64,
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct HapticTickReport {
+    pub ticks: u32,
+    pub devices: Vec<Times>,
+}
+
+impl HapticTick {
     fn time(self, device: &mut dyn HapticDevice, contacts: usize) -> Result<Times, String> {
         device.enable_forces(true).map_err(|e| e.to_string())?;
         let mut chain = Chain::new(ChainConfig::default(), device.caps());
@@ -166,7 +135,6 @@ impl HapticTick {
     }
 }
 
-/// A repeated press with slide and tilt.
 fn script() -> Result<Script, palpate_device::ScriptError> {
     let tool = Tool::probe(4e-3);
     let tremor = Hand {

@@ -1,5 +1,4 @@
-//! Benchmarks: solver cost and force error, force-loop tick, bandwidth and coding of a session, cost and
-//! accuracy of the reference of a demo.
+//! Benchmarks: solver cost and force error, force-loop tick, bandwidth and coding of a session.
 //!
 //! They are not tests: a slow machine does not fail. Compare figures (two models, two commits) within one run
 //! on one machine.
@@ -12,7 +11,6 @@ pub mod haptic_tick;
 pub mod press_cube;
 pub mod press_scene;
 mod quic;
-pub mod reference;
 pub mod wound;
 
 use std::fmt::Display;
@@ -20,22 +18,16 @@ use std::fmt::Display;
 use clap::Args;
 use serde::Serialize;
 
-use crate::progress::Progress;
+/// Receives the stage of a measurement.
+pub type OnStage<'a> = dyn FnMut(&str) + Send + 'a;
 
-/// A benchmark with its options.
 pub trait Benchmark: Args {
-    /// Its figures.
     type Report: Serialize + Display;
 
-    /// Runs it.
-    ///
-    /// # Errors
-    ///
-    /// If an option is out of range, or the model or the machine does not allow the measurement.
-    fn measure(&self, progress: &mut Progress) -> Result<Self::Report, String>;
+    /// Fails if an option is out of range, or the model or the machine does not allow the measurement.
+    fn measure(&self, on_stage: &mut OnStage<'_>) -> Result<Self::Report, String>;
 }
 
-/// Median of times in ms.
 fn median(times: &[f64]) -> f64 {
     quantile(times, 0.5)
 }
@@ -53,11 +45,6 @@ pub(crate) fn quantile_of_sorted<T: Copy>(sorted: &[T], q: f64) -> Option<T> {
     sorted.get(rank.max(1) - 1).copied()
 }
 
-/// Runs a closure on this many threads.
-///
-/// # Errors
-///
-/// If the operating system cannot create the threads.
 pub fn on_threads<T: Send>(threads: usize, run: impl FnOnce() -> T + Send) -> Result<T, String> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)

@@ -12,16 +12,12 @@ use clap::Args;
 use palpate_tissue::{Budget, Material, Shape, Solver, Topology, Vec3, block};
 use serde::Serialize;
 
-use super::{Benchmark, on_threads};
-use crate::progress::Progress;
+use super::{Benchmark, OnStage, on_threads};
 
-/// Side of the cube, m.
 const SIDE_M: f64 = 0.1;
 /// Radius of the disc, m.
 const DISC_M: f64 = 0.0125;
-/// Displacement of the disc, m.
 const DEPTH_M: f64 = 1e-3;
-/// Steps of the moving press.
 const STEPS: usize = 10;
 /// Maximum error of the cold start, and per step when moving.
 const ERRORS: [f64; 2] = [0.01, 0.005];
@@ -32,14 +28,11 @@ const TOLERANCE: f64 = 1e-3;
 const TOLERANCES: [f64; 3] = [3e-2, 1e-4, 0.9];
 /// Tolerance of the first moving step; later steps start from its shape.
 const FIRST: f64 = 1e-4;
-/// Converged residual.
 const CONVERGED: f64 = 1e-6;
-/// Maximum iterations.
 const ITERATIONS_MAX: usize = 100;
 /// Timed runs; the median counts.
 const RUNS: usize = 5;
 
-/// Options of the bench.
 #[derive(Debug, Clone, Copy, Args)]
 pub struct PressCube {
     /// Nodes per edge: 20 makes 8,000 nodes, 40 64,000, 100 a million
@@ -59,54 +52,42 @@ pub struct PressCube {
 impl Benchmark for PressCube {
     type Report = PressCubeReport;
 
-    fn measure(&self, progress: &mut Progress) -> Result<PressCubeReport, String> {
+    fn measure(&self, progress: &mut OnStage<'_>) -> Result<PressCubeReport, String> {
         if !(0.25..=0.49).contains(&self.poisson) {
             return Err(format!(
                 "--poisson {} must be between 0.25 (springs alone) and 0.49",
                 self.poisson
             ));
         }
-        on_threads(usize::from(self.threads), || {
-            self.run(&mut |what| progress.stage(what))
-        })
+        on_threads(usize::from(self.threads), || self.run(progress))
     }
 }
 
-/// Figures of a run.
 #[derive(Debug, Clone, Serialize)]
 pub struct PressCubeReport {
-    /// Nodes of the cube.
     pub nodes: usize,
-    /// Springs of the cube and of its base layer.
     pub springs: usize,
-    /// Poisson's ratio.
     pub poisson: f64,
     /// Setup of bricks and coarse lattices, once per topology, ms.
     pub setup_ms: f64,
     /// Time from rest to an rms error below 1 %, ms; `None` if not reached.
     pub ms_to_one_percent: Option<f64>,
-    /// Its iterations.
     pub iterations_to_one_percent: usize,
     /// Remaining error, relative.
     pub error: f64,
     /// Time from rest to a relative residual of 1e-6, ms; `None` if not reached.
     pub ms_to_converged: Option<f64>,
-    /// Its iterations.
     pub iterations_to_converged: usize,
-    /// Remaining residual.
     pub residual: f64,
     /// Converged force on the disc, N.
     pub force_n: f64,
-    /// The moving press.
     pub moving: Option<MovingReport>,
 }
 
-/// Figures of the moving press.
 #[derive(Debug, Clone, Serialize)]
 pub struct MovingReport {
     /// Duration of the first step, from rest, ms.
     pub first_ms: f64,
-    /// Its iterations.
     pub first_iterations: usize,
     /// Relative residual requested in the other steps.
     pub tolerance: f64,
@@ -120,7 +101,6 @@ pub struct MovingReport {
 
 struct Cube {
     topology: Topology,
-    /// Nodes under the disc.
     disc: Vec<u32>,
 }
 
@@ -173,7 +153,6 @@ impl Cube {
     }
 }
 
-/// Relative rms difference of two shapes.
 fn error(shape: &Shape, exact: &Shape) -> f64 {
     let pairs = shape.displacement.iter().zip(&exact.displacement);
     let (mut difference, mut size) = (0.0, 0.0);
@@ -185,8 +164,7 @@ fn error(shape: &Shape, exact: &Shape) -> f64 {
 }
 
 impl PressCube {
-    /// Runs the bench.
-    pub fn run(&self, progress: &mut dyn FnMut(&str)) -> PressCubeReport {
+    pub fn run(&self, progress: &mut OnStage<'_>) -> PressCubeReport {
         progress("making the cube");
         let cube = Cube::new(usize::from(self.nodes), self.poisson);
         let began = Instant::now();
@@ -232,7 +210,7 @@ impl PressCube {
 
 /// Presses in steps. The first one solves from rest to a residual of 1e-4, so that the others begin at an
 /// equilibrium; those use the loosest tolerance that keeps every error within bounds.
-fn moving(cube: &Cube, like: &Solver, progress: &mut dyn FnMut(&str)) -> MovingReport {
+fn moving(cube: &Cube, like: &Solver, progress: &mut OnStage<'_>) -> MovingReport {
     progress("converging the moving press");
     let depth = |step: usize| DEPTH_M * (step + 1) as f64 / STEPS as f64;
     let mut solver = like.another(&cube.topology);
@@ -291,7 +269,6 @@ fn moving(cube: &Cube, like: &Solver, progress: &mut dyn FnMut(&str)) -> MovingR
     }
 }
 
-/// One step of the moving press.
 struct Moved {
     ms: f64,
     error: f64,

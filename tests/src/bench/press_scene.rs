@@ -13,24 +13,17 @@ use palpate_tissue::{Budget, Model, Shape, Solver, StepReport, Tool, Topology};
 use serde::Serialize;
 
 use super::wound::Wound;
-use super::{Benchmark, on_threads};
-use crate::progress::Progress;
+use super::{Benchmark, OnStage, on_threads};
 use crate::test_model::TestModel;
 use crate::tool_location::ToolLocation;
 
-/// Radius of the sphere, m.
 const RADIUS_M: f64 = 8e-3;
-/// Tick, s.
 const TICK_S: f64 = 4e-3;
-/// Ticks at the full depth.
 const REST: usize = 5;
 /// Minimum force for a relative error, N.
 const LEAST_N: f64 = 2e-3;
-
-/// Tolerance of a tick.
 const TOLERANCE: f64 = 2.5e-2;
 
-/// Options of the bench.
 #[derive(Debug, Clone, Args)]
 pub struct PressScene {
     /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
@@ -52,9 +45,6 @@ pub struct PressScene {
     /// Number of presses, each from rest
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
     repeats: u16,
-    /// A second model, pressed alternately with the first; reports the ratio of their tick times
-    #[arg(long, value_name = "MODEL")]
-    against: Option<String>,
     /// Cut through the tissue first, and press beside the wound
     #[arg(long)]
     wound: bool,
@@ -64,9 +54,9 @@ pub struct PressScene {
 }
 
 impl Benchmark for PressScene {
-    type Report = Comparison;
+    type Report = PressSceneReport;
 
-    fn measure(&self, progress: &mut Progress) -> Result<Comparison, String> {
+    fn measure(&self, progress: &mut OnStage<'_>) -> Result<PressSceneReport, String> {
         for (name, value) in [
             ("--depth-mm", self.depth_mm),
             ("--speed-mm-s", self.speed_mm_s),
@@ -80,53 +70,33 @@ impl Benchmark for PressScene {
         if !(1e-8..=1e-2).contains(&converged) {
             return Err(format!("--converged {converged} must be from 1e-8 to 0.01"));
         }
-        let mut models = Vec::new();
-        for name in std::iter::once(&self.model).chain(&self.against) {
-            models.push(TestModel::in_memory(name, progress)?);
-        }
-        let reports = on_threads(usize::from(self.threads), || {
-            self.run(models, &mut |what| progress.tick(what))
-        })?;
-        Comparison::of(reports?)
+        let model = TestModel::in_memory(&self.model, progress)?;
+        on_threads(usize::from(self.threads), || self.run(model, progress))?
     }
 }
 
-/// One tick.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Tick {
-    /// Index of its press, from 1.
     pub press: usize,
-    /// Whether the tool retracts.
     pub draws_back: bool,
-    /// Index of its tool pose.
     #[serde(skip)]
     tool: usize,
-    /// Depth, mm.
     pub depth_mm: f64,
     /// Force along the normal, N.
     pub force_n: f64,
-    /// Converged force, N.
     pub converged_n: f64,
-    /// Relative force error.
     pub error: f64,
-    /// Duration, ms.
     pub ms: f64,
-    /// Iterations within the budget.
     pub iterations: usize,
-    /// Active nodes.
     pub active: usize,
-    /// Residual of the converged solution.
     pub converged_residual: f64,
 }
 
-/// Figures of some ticks.
 #[derive(Debug, Clone, Serialize)]
 pub struct Figures {
     /// Median and 99th percentile of the tick duration, ms.
     pub ms: [f64; 2],
-    /// Largest relative force error.
     pub worst_error: f64,
-    /// Rms of the relative force error.
     pub rms_error: f64,
 }
 
@@ -142,29 +112,21 @@ impl Figures {
     }
 }
 
-/// Figures of a run.
 #[derive(Debug, Clone, Serialize)]
 pub struct PressSceneReport {
-    /// The wound beside the press.
     pub wound: Option<Wound>,
-    /// Nodes of the model.
     pub nodes: usize,
-    /// Setup of bricks and coarse lattices, ms.
     pub setup_ms: f64,
     /// Figures of pressing and of rest at depth.
     #[serde(flatten)]
     pub press: Figures,
-    /// Figures of retraction.
     pub back: Figures,
-    /// Maximum number of active nodes.
     pub active: usize,
     /// Slope of the converged force over the last fifth of the depth, divided by that of the first fifth.
     pub stiffening: f64,
-    /// All ticks.
     pub ticks: Vec<Tick>,
 }
 
-/// A model and its tool poses.
 struct Prepared {
     topology: Topology,
     location: ToolLocation,
@@ -178,39 +140,27 @@ struct Prepared {
 }
 
 impl PressScene {
-    /// Runs the bench; one report per model. Presses of several models alternate, so that their times stay
-    /// comparable under varying machine load.
-    ///
-    /// # Errors
-    ///
-    /// If a model has no location for a sphere.
-    pub fn run(
+    fn run(
         &self,
-        models: Vec<Arc<Model>>,
-        progress: &mut dyn FnMut(&str),
-    ) -> Result<Vec<PressSceneReport>, String> {
+        model: Arc<Model>,
+        progress: &mut OnStage<'_>,
+    ) -> Result<PressSceneReport, String> {
         progress("preparing the model");
-        let prepared: Result<Vec<Prepared>, String> =
-            models.into_iter().map(|m| self.prepare(m)).collect();
-        let mut prepared = prepared?;
+        let mut model = self.prepare(model)?;
         // Presses first, so that the caches hold only what a session uses.
         for repeat in 1..=usize::from(self.repeats) {
             progress(&format!("press {repeat} of {}", self.repeats));
-            for model in &mut prepared {
-                self.press(model, repeat);
-            }
+            self.press(&mut model, repeat);
         }
-        for model in &mut prepared {
-            self.converge(model, progress);
-        }
-        Ok(prepared.into_iter().map(summary).collect())
+        self.converge(&mut model, progress);
+        Ok(summary(model))
     }
 
     fn prepare(&self, model: Arc<Model>) -> Result<Prepared, String> {
         let mut topology = Topology::new(model);
-        let mut location = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
+        let mut location = ToolLocation::find(&topology)?;
         let wound = if self.wound {
-            Some(Wound::open(&mut topology, &mut location)?)
+            Some(Wound::open(&mut topology, &mut location)?.0)
         } else {
             None
         };
@@ -242,7 +192,6 @@ impl PressScene {
         })
     }
 
-    /// One press from rest, and the retraction.
     fn press(&self, model: &mut Prepared, repeat: usize) {
         let (topology, location) = (&model.topology, &model.location);
         let (mut hand, mut shape) = (model.first.another(topology), Shape::rest(topology));
@@ -273,8 +222,7 @@ impl PressScene {
         }
     }
 
-    /// Converges a second solver at every tool pose.
-    fn converge(&self, model: &mut Prepared, progress: &mut dyn FnMut(&str)) {
+    fn converge(&self, model: &mut Prepared, progress: &mut OnStage<'_>) {
         let (topology, count) = (&model.topology, model.tools.len());
         let (mut exact, mut shape) = (model.first.another(topology), Shape::rest(topology));
         for (k, tool) in model.tools.iter().enumerate() {
@@ -317,49 +265,6 @@ fn summary(model: Prepared) -> PressSceneReport {
     }
 }
 
-/// Figures of a model, and of a second one pressed alternately.
-#[derive(Debug, Clone, Serialize)]
-pub struct Comparison {
-    /// The model under test.
-    #[serde(flatten)]
-    pub report: PressSceneReport,
-    /// The model it is compared with.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub against: Option<PressSceneReport>,
-    /// Times of the first model divided by those of the second: median and 99th percentile.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub ratio: Option<[f64; 2]>,
-}
-
-impl Comparison {
-    fn of(reports: Vec<PressSceneReport>) -> Result<Self, String> {
-        let mut reports = reports.into_iter();
-        let report = reports.next().ok_or("no model to press")?;
-        let against = reports.next();
-        let ratio = (against.as_ref())
-            .map(|against| [0, 1].map(|q| report.press.ms[q] / against.press.ms[q]));
-        Ok(Self {
-            report,
-            against,
-            ratio,
-        })
-    }
-}
-
-impl fmt::Display for Comparison {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.report)?;
-        if let (Some(against), Some([p50, p99])) = (&self.against, self.ratio) {
-            write!(
-                f,
-                "\nagainst {}\na tick takes {p50:.2} times as long (p50), {p99:.2} times (p99)",
-                against.figures()
-            )?;
-        }
-        Ok(())
-    }
-}
-
 impl fmt::Display for PressSceneReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
@@ -389,14 +294,8 @@ impl fmt::Display for PressSceneReport {
                 wound.doubled
             )?;
         }
-        f.write_str(&self.figures())
-    }
-}
-
-impl PressSceneReport {
-    /// All figures except the ticks, in a line.
-    fn figures(&self) -> String {
-        format!(
+        write!(
+            f,
             "{} nodes; tick p50 {:.2} ms, p99 {:.2} ms; force error worst {:.1} %, rms {:.1} %; at \
              most {} nodes active; slope of the last fifth {:.1} times the first; drawn back p50 {:.2} ms, \
              p99 {:.2} ms, worst {:.1} %, rms {:.1} %",

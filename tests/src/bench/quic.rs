@@ -17,12 +17,9 @@ const SETTLE: Duration = Duration::from_millis(500);
 
 const HERE: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
-/// Overhead in one direction.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Added {
-    /// Bytes in addition to the payload.
     pub(super) bytes: f64,
-    /// Total UDP packets.
     pub(super) packets: f64,
 }
 

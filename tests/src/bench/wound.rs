@@ -17,32 +17,19 @@ const OUTSIDE_M: f64 = 0.006;
 const BESIDE_M: f64 = 0.012;
 /// Width of the wound at its top, m: that of a scalpel.
 const WIDTH_M: f64 = 0.5e-3;
-/// Points of the stroke.
 const POINTS: usize = 50;
 
-/// Description of the cut.
 #[derive(Debug, Clone, Serialize)]
 pub struct Wound {
-    /// Depth, mm.
     pub depth_mm: f64,
-    /// Duplicated nodes.
     pub doubled: usize,
-    /// Names of the cut regions.
     pub regions: Vec<String>,
 }
 
 impl Wound {
     /// Cuts through the centre of a location along its stroke, and moves the location beside the wound.
-    ///
-    /// # Errors
-    ///
-    /// If the cut severs nothing.
-    pub fn open(topology: &mut Topology, location: &mut ToolLocation) -> Result<Self, String> {
-        Self::open_with(topology, location).map(|(wound, _)| wound)
-    }
-
-    /// The same; also returns the outcome of the cut.
-    pub(super) fn open_with(
+    /// Also returns the outcome of the cut.
+    pub fn open(
         topology: &mut Topology,
         location: &mut ToolLocation,
     ) -> Result<(Self, CutOutcome), String> {
@@ -93,7 +80,7 @@ mod tests {
         let mut topology = Topology::new(Arc::new(model));
         let mut location = ToolLocation::find(&topology).unwrap();
         let middle = location.middle;
-        let wound = Wound::open(&mut topology, &mut location).unwrap();
+        let (wound, _) = Wound::open(&mut topology, &mut location).unwrap();
         assert!(wound.doubled > 50, "{wound:?}");
         assert!(wound.regions.len() >= 2, "{wound:?}");
         assert!((location.middle - middle).norm() > 0.008);

@@ -1,12 +1,13 @@
 use palpate_client::Summary;
-use serde_json::json;
+use palpate_server::host::HostSummary;
 
 use super::Expected;
 use crate::cpu::CpuRow;
 use crate::delay_figures::DelayFigures;
 use crate::dropout::Dropouts;
 use crate::force_error::ForceError;
-use crate::report::{ParticipantReport, ReferenceReport, Report, ServerReport};
+use crate::reference::Quality;
+use crate::report::{ParticipantReport, ReferenceReport, Report};
 
 const EXPECTED: Expected<'_> = Expected {
     trainees: &["holder", "cutter"],
@@ -37,16 +38,11 @@ fn participant(name: &str) -> ParticipantReport {
     }
 }
 
-fn server() -> ServerReport {
-    let times = json!({"p50": 1.0, "p99": 2.0, "max": 3.0});
-    ServerReport {
-        ticks: 600,
-        tick_ms: serde_json::from_value(times).unwrap(),
-        tick_period_ms: 33.3,
-        operations: 5,
-        demotions: 0,
+fn server() -> HostSummary {
+    HostSummary {
         topology_hash: "00000000000000aa".to_owned(),
         topology_version: 1,
+        ..HostSummary::default()
     }
 }
 
@@ -65,11 +61,15 @@ fn good() -> Report {
             max_ms: 12.0,
         }),
         reference: Some(ReferenceReport {
-            residual_max: 0.01,
-            error_percent: [1.0, 1.5],
+            quality: Quality {
+                residual_max: 0.01,
+                error_percent: [1.0, 1.5],
+                ..Quality::default()
+            },
             ..ReferenceReport::default()
         }),
-        ..Report::new(server())
+        server: server(),
+        ..Report::default()
     };
     report.cut.operations = 1;
     report.cut.boundary_closed = true;
@@ -173,7 +173,7 @@ fn missing_cut_fails() {
     fails(|r| r.cut.operations = 0, &["lost cuts"]);
     fails(|r| r.participants[2].summary.cuts = 0, &["lost cuts"]);
     fails(
-        |r| r.participants[0].topology_hash = "other".to_owned(),
+        |r| r.participants[0].summary.topology_hash = "other".to_owned(),
         &["topologies that differ from the server's"],
     );
     fails(|r| r.cut.boundary_closed = false, &["open outer surfaces"]);
@@ -241,18 +241,21 @@ fn each_missing_figure_fails() {
         &["distance of a cut from the reference's"],
     );
     fails(
-        |r| r.reference.as_mut().unwrap().residual_max = 0.2,
+        |r| r.reference.as_mut().unwrap().quality.residual_max = 0.2,
         &["largest residual of the reference"],
     );
     fails(
-        |r| r.reference.as_mut().unwrap().error_percent[1] = 7.0,
+        |r| r.reference.as_mut().unwrap().quality.error_percent[1] = 7.0,
         &["estimated error of the reference"],
     );
 }
 
 #[test]
 fn empty_session_fails_nearly_every_criterion() {
-    let mut report = Report::new(server());
+    let mut report = Report {
+        server: server(),
+        ..Report::default()
+    };
     let failed = failed(&mut report);
     assert!(failed.len() >= 15, "{failed:?}");
 }

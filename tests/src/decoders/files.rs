@@ -8,9 +8,32 @@ use palpate_device::Script;
 use palpate_device::backend::replay::Motion;
 use palpate_tissue::{Material, ModelFile, block};
 
-use super::{Decoder, text};
+use super::{Decoder, decoders, text};
 use crate::experiments::recipe::Recipe;
 use crate::network::{Profile, Trace};
+
+macro_rules! examples {
+    ($($file:literal),*) => {
+        vec![$(include_bytes!(concat!("examples/", $file)).to_vec()),*]
+    };
+}
+
+pub(super) const ALL: &[Decoder] = decoders! {
+    "model", of_packed, read_model, vec![small_model().encode()];
+    "model-content", of_content, read_content, vec![small_model().content()];
+    "surface-stl", of_text, |b| read_surface("stl", b), examples!["ascii.stl", "binary.stl"];
+    "surface-obj", of_text, |b| read_surface("obj", b), examples!["surface.obj"];
+    "surface-ply", of_text, |b| read_surface("ply", b), examples!["surface.ply"];
+    "labels-nifti", of_text, |b| read_labels("nii", b), examples!["labels.nii"];
+    "labels-nrrd", of_packed, |b| read_labels("nrrd", b), examples!["labels.nrrd"];
+    "scene", of_text, read_scene, examples!["scene.toml"];
+    "script", of_text, read_script, examples!["script.toml"];
+    "motion-table", of_text, read_table, examples!["motion.csv", "hand.csv"];
+    "motion-recording", of_text, read_recording, examples!["recording.json"];
+    "profile", of_text, read_profile, examples!["lan.toml", "transatlantic.toml", "steps.toml"];
+    "trace", of_text, read_trace, examples!["trace.csv"];
+    "recipe", of_text, |b| text(b, |recipe| Recipe::parse(recipe).is_ok()), examples!["recipe.toml"];
+};
 
 /// Memory per byte of a text: number tables take several times their text size.
 const TEXT_SHARE: usize = 128;
@@ -37,34 +60,24 @@ const fn of_packed(len: usize) -> usize {
     BESIDES + UNPACKED_SHARE * len
 }
 
-pub(super) const MODEL: Decoder = Decoder {
-    name: "model",
-    read: |bytes| {
-        let Ok(file) = ModelFile::decode(bytes) else {
-            return false;
-        };
-        let again = ModelFile::decode(&file.encode());
-        assert_eq!(again.expect("what was written can be read"), file);
-        true
-    },
-    examples: || vec![small_model().encode()],
-    holds_max: of_packed,
-};
+fn read_model(bytes: &[u8]) -> bool {
+    let Ok(file) = ModelFile::decode(bytes) else {
+        return false;
+    };
+    let again = ModelFile::decode(&file.encode());
+    assert_eq!(again.expect("what was written can be read"), file);
+    true
+}
 
 /// The content of a model file without its envelope, so that the checksum does not stop a fuzzer.
-pub(super) const MODEL_CONTENT: Decoder = Decoder {
-    name: "model-content",
-    read: |bytes| {
-        let Ok(file) = ModelFile::from_content(bytes) else {
-            return false;
-        };
-        let again = ModelFile::from_content(&file.content());
-        assert_eq!(again.expect("what was written can be read"), file);
-        true
-    },
-    examples: || vec![small_model().content()],
-    holds_max: of_content,
-};
+fn read_content(bytes: &[u8]) -> bool {
+    let Ok(file) = ModelFile::from_content(bytes) else {
+        return false;
+    };
+    let again = ModelFile::from_content(&file.content());
+    assert_eq!(again.expect("what was written can be read"), file);
+    true
+}
 
 fn small_model() -> ModelFile {
     let soft = Material {
@@ -80,237 +93,56 @@ fn small_model() -> ModelFile {
     }
 }
 
-const TETRAHEDRON: [[u8; 3]; 4] = [[1, 3, 2], [1, 2, 4], [2, 3, 4], [3, 1, 4]];
+fn read_scene(bytes: &[u8]) -> bool {
+    let folder = Path::new("nowhere");
+    text(bytes, |scene| Scene::parse(scene, folder).is_ok())
+}
 
-pub(super) const SURFACE_STL: Decoder = Decoder {
-    name: "surface-stl",
-    read: |bytes| read_surface("stl", bytes),
-    examples: || {
-        let mut ascii = String::from("solid t\n");
-        let corner = ["0 0 0", "10 0 0", "0 10 0", "0 0 10"];
-        for face in TETRAHEDRON {
-            ascii.push_str("facet normal 0 0 0\nouter loop\n");
-            for v in face {
-                ascii.extend(["vertex ", corner[usize::from(v) - 1], "\n"]);
-            }
-            ascii.push_str("endloop\nendfacet\n");
-        }
-        ascii.push_str("endsolid t\n");
-        let mut binary = vec![0; 80];
-        binary.extend(4_u32.to_le_bytes());
-        for face in TETRAHEDRON {
-            binary.extend([0; 12]);
-            for v in face {
-                for axis in 2..5 {
-                    let x = if v == axis { 10.0_f32 } else { 0.0 };
-                    binary.extend(x.to_le_bytes());
-                }
-            }
-            binary.extend([0; 2]);
-        }
-        vec![ascii.into_bytes(), binary]
-    },
-    holds_max: of_text,
-};
-
-pub(super) const SURFACE_OBJ: Decoder = Decoder {
-    name: "surface-obj",
-    read: |bytes| read_surface("obj", bytes),
-    examples: || {
-        let text = "v 0 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
-        vec![text.as_bytes().to_vec()]
-    },
-    holds_max: of_text,
-};
-
-pub(super) const SURFACE_PLY: Decoder = Decoder {
-    name: "surface-ply",
-    read: |bytes| read_surface("ply", bytes),
-    examples: || {
-        let text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
-                    element face 4\nproperty list uchar int vertex_indices\nend_header\n\
-                    0 0 0\n10 0 0\n0 10 0\n0 0 10\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 2 0 3\n";
-        vec![text.as_bytes().to_vec()]
-    },
-    holds_max: of_text,
-};
-
-pub(super) const LABELS_NIFTI: Decoder = Decoder {
-    name: "labels-nifti",
-    read: |bytes| read_labels("nii", bytes),
-    examples: || {
-        let mut nii = vec![0; 352];
-        nii[..4].copy_from_slice(&348_i32.to_le_bytes());
-        for (at, value) in [
-            (40, 3_i16),
-            (42, 2),
-            (44, 2),
-            (46, 2),
-            (48, 1),
-            (70, 2),
-            (72, 8),
-        ] {
-            nii[at..at + 2].copy_from_slice(&value.to_le_bytes());
-        }
-        for (at, value) in [
-            (76, 1.0_f32),
-            (80, 20.0),
-            (84, 20.0),
-            (88, 20.0),
-            (108, 352.0),
-            (112, 1.0),
-        ] {
-            nii[at..at + 4].copy_from_slice(&value.to_le_bytes());
-        }
-        // Units: millimetres.
-        nii[123] = 2;
-        // The sform (voxel to world); its rows begin at byte 280.
-        nii[254] = 1;
-        for at in [280, 300, 320] {
-            nii[at..at + 4].copy_from_slice(&20.0_f32.to_le_bytes());
-        }
-        nii[344..348].copy_from_slice(b"n+1\0");
-        nii.extend([0, 1, 0, 1, 2, 1, 0, 0]);
-        vec![nii]
-    },
-    holds_max: of_text,
-};
-
-pub(super) const LABELS_NRRD: Decoder = Decoder {
-    name: "labels-nrrd",
-    read: |bytes| read_labels("nrrd", bytes),
-    examples: || {
-        let mut nrrd =
-            b"NRRD0004\ntype: uint8\ndimension: 3\nspace: left-posterior-superior\nsizes: 2 2 2\n\
-            space directions: (20,0,0) (0,20,0) (0,0,20)\nkinds: domain domain domain\nencoding: raw\n\
-            space origin: (0,0,0)\n\n"
-                .to_vec();
-        nrrd.extend([0, 1, 0, 1, 2, 1, 0, 0]);
-        vec![nrrd]
-    },
-    holds_max: of_packed,
-};
-
-pub(super) const SCENE: Decoder = Decoder {
-    name: "scene",
-    read: |bytes| {
-        text(bytes, |scene| {
-            Scene::parse(scene, Path::new("nowhere")).is_ok()
-        })
-    },
-    examples: || {
-        let scene = "format = \"palpate-scene/1\"\nspacing_mm = 4.0\npinned = [\"bone\"]\ngravity_m_s2 = [0.0, 0.0, -9.81]\n\n\
-                     [[region]]\nname = \"fat\"\nsurface = \"skin.stl\"\nmaterial = \"fat\"\n[[region]]\nname = \"bone\"\n\
-                     surface = \"bone.stl\"\nmaterial = \"bone\"\npoisson = 0.3\n\n[material.fat]\nyoung_kpa = 10.0\n";
-        vec![scene.as_bytes().to_vec()]
-    },
-    holds_max: of_text,
-};
-
-pub(super) const SCRIPT: Decoder = Decoder {
-    name: "script",
-    read: |bytes| {
-        text(bytes, |script| {
-            let Ok(script) = Script::from_toml(script) else {
-                return false;
-            };
-            Script::from_toml(&script.to_toml()).expect("what was written can be read");
-            true
-        })
-    },
-    examples: || {
-        let script = "format = \"palpate-script/1\"\n\n[tool]\nkind = \"probe\"\nradius_mm = 8.0\n\n[[way]]\nt_s = 0.0\n\
-                      at_mm = [0.0, 0.0, 50.0]\n\n[[way]]\nt_s = 1.0\nat_mm = [0.0, 0.0, 20.0]\nbutton = true\n";
-        vec![script.as_bytes().to_vec()]
-    },
-    holds_max: of_text,
-};
-
-pub(super) const MOTION_TABLE: Decoder = Decoder {
-    name: "motion-table",
-    read: |bytes| {
-        text(bytes, |table| {
-            Motion::from_table(table).inspect(look_at).is_ok()
-        })
-    },
-    examples: || {
-        let table = "t_s,x_m,y_m,z_m,qw,qx,qy,qz,buttons\n0,0,0,0.1,1,0,0,0,0\n0.01,0,0,0.1,1,0,0,0,1\n0.02,0,0.001,0.1,1,0,0,0,1\n";
-        let hand =
-            "time_s,x_m,y_m,z_m\n0,0,0,0\n0.05,0.001,0,0\n0.1,0,0,0.002\n0.15,0,0,0\n0.2,0,0,0\n";
-        [table, hand].map(|table| table.as_bytes().to_vec()).into()
-    },
-    holds_max: of_text,
-};
-
-pub(super) const MOTION_RECORDING: Decoder = Decoder {
-    name: "motion-recording",
-    read: |bytes| {
-        text(bytes, |json| {
-            Motion::from_recording(json).inspect(look_at).is_ok()
-        })
-    },
-    examples: || {
-        let json = "{\"script_started_us\":1000,\"haptic\":[{\"t_us\":1000,\"position_m\":[0,0,0.1],\"force_n\":[0,0,0]},\
-                    {\"t_us\":5000,\"position_m\":[0,0,0.09],\"orientation\":[0,0,0,1],\"buttons\":1,\"force_n\":[0,0,1]}]}";
-        vec![json.as_bytes().to_vec()]
-    },
-    holds_max: of_text,
-};
-
-pub(super) const PROFILE: Decoder = Decoder {
-    name: "profile",
-    read: |bytes| {
-        text(bytes, |profile| {
-            let path = Path::new("any.toml");
-            let Ok(profile) = Profile::from_toml(profile, path) else {
-                return false;
-            };
-            let again = Profile::from_toml(&profile.to_toml(), path);
-            assert_eq!(again.expect("what was written can be read"), profile);
-            true
-        })
-    },
-    examples: || {
-        let text = |name| {
-            Profile::named(name)
-                .expect("a named profile")
-                .to_toml()
-                .into_bytes()
+fn read_script(bytes: &[u8]) -> bool {
+    text(bytes, |script| {
+        let Ok(script) = Script::from_toml(script) else {
+            return false;
         };
-        ["lan", "transatlantic", "steps"].map(text).into()
-    },
-    holds_max: of_text,
-};
+        Script::from_toml(&script.to_toml()).expect("what was written can be read");
+        true
+    })
+}
 
-pub(super) const TRACE: Decoder = Decoder {
-    name: "trace",
-    read: |bytes| {
-        with_file("csv", bytes, |path| {
-            let Ok(trace) = Trace::read(path, Path::new("")) else {
-                return false;
-            };
-            for at_us in [0, 1, 1_000_000, u64::MAX / 2] {
-                let _ = trace.at(at_us);
-            }
-            true
-        })
-    },
-    examples: || {
-        let table = "time_ms,delay_ms,lost\n0,40,0\n20,45.5,0\n40,,1\n60,41,0\n";
-        vec![table.as_bytes().to_vec()]
-    },
-    holds_max: of_text,
-};
+fn read_profile(bytes: &[u8]) -> bool {
+    text(bytes, |profile| {
+        let path = Path::new("any.toml");
+        let Ok(profile) = Profile::from_toml(profile, path) else {
+            return false;
+        };
+        let again = Profile::from_toml(&profile.to_toml(), path);
+        assert_eq!(again.expect("what was written can be read"), profile);
+        true
+    })
+}
 
-pub(super) const RECIPE: Decoder = Decoder {
-    name: "recipe",
-    read: |bytes| text(bytes, |recipe| Recipe::parse(recipe).is_ok()),
-    examples: || {
-        let recipe = "experiment = \"table-7-1\"\nseed = 7\nmotion = \"hand.csv\"\n";
-        vec![recipe.as_bytes().to_vec()]
-    },
-    holds_max: of_text,
-};
+fn read_trace(bytes: &[u8]) -> bool {
+    with_file("csv", bytes, |path| {
+        let Ok(trace) = Trace::read(path, Path::new("")) else {
+            return false;
+        };
+        for at_us in [0, 1, 1_000_000, u64::MAX / 2] {
+            let _ = trace.at(at_us);
+        }
+        true
+    })
+}
+
+fn read_table(bytes: &[u8]) -> bool {
+    text(bytes, |table| {
+        Motion::from_table(table).inspect(look_at).is_ok()
+    })
+}
+
+fn read_recording(bytes: &[u8]) -> bool {
+    text(bytes, |json| {
+        Motion::from_recording(json).inspect(look_at).is_ok()
+    })
+}
 
 fn look_at(motion: &Motion) {
     let mut near = 0;

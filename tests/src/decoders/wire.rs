@@ -11,7 +11,7 @@ use palpate_protocol::{
     CertificateHash, ClientTime, Grant, JoinLink, OperationId, Role, ServerTime,
 };
 
-use super::{Decoder, text};
+use super::{Decoder, decoders, text};
 
 /// Memory bound of a datagram receiver: the current datagram and its history.
 const DATAGRAMS_HOLD_MAX: usize = 4 << 20;
@@ -19,74 +19,49 @@ const DATAGRAMS_HOLD_MAX: usize = 4 << 20;
 /// Memory bound of a session endpoint: a frame, pending events, and the datagram history.
 const SESSION_HOLDS_MAX: usize = 16 << 20;
 
-pub(super) const DATAGRAMS: Decoder = Decoder {
-    name: "datagrams",
-    read: read_datagrams,
-    examples: || {
-        // Each datagram differs from the previous one.
-        let all = datagrams();
-        let all: Vec<_> = all.iter().map(|d| (true, &d[..])).collect();
-        (1..=all.len()).map(|n| pieces(&all[..n])).collect()
-    },
-    holds_max: |len| DATAGRAMS_HOLD_MAX + 2 * len,
+/// Memory bound of a frame receiver.
+const fn of_frames(len: usize) -> usize {
+    4 * FRAME_MAX_BYTES + 2 * len
+}
+
+const fn of_session(len: usize) -> usize {
+    SESSION_HOLDS_MAX + 4 * len
+}
+
+pub(super) const ALL: &[Decoder] = decoders! {
+    "datagrams", |len| DATAGRAMS_HOLD_MAX + 2 * len, read_datagrams, datagram_sequences();
+    "client-stream", of_frames, read_frames::<ClientMessage>, frames(0);
+    "server-stream", of_frames, read_frames::<ServerMessage>, frames(1);
+    "server-session", of_session, read_as_server, as_a_client();
+    "client-session", of_session, read_as_client, as_a_server();
+    "join-link", |len| (64 << 10) + 8 * len, read_link, links();
 };
 
-pub(super) const CLIENT_STREAM: Decoder = Decoder {
-    name: "client-stream",
-    read: read_frames::<ClientMessage>,
-    examples: || frames(0),
-    holds_max: |len| 4 * FRAME_MAX_BYTES + 2 * len,
-};
-
-pub(super) const SERVER_STREAM: Decoder = Decoder {
-    name: "server-stream",
-    read: read_frames::<ServerMessage>,
-    examples: || frames(1),
-    holds_max: |len| 4 * FRAME_MAX_BYTES + 2 * len,
-};
-
-pub(super) const SERVER_SESSION: Decoder = Decoder {
-    name: "server-session",
-    read: read_as_server,
-    examples: as_a_client,
-    holds_max: |len| SESSION_HOLDS_MAX + 4 * len,
-};
-
-pub(super) const CLIENT_SESSION: Decoder = Decoder {
-    name: "client-session",
-    read: read_as_client,
-    examples: as_a_server,
-    holds_max: |len| SESSION_HOLDS_MAX + 4 * len,
-};
-
-pub(super) const JOIN_LINK: Decoder = Decoder {
-    name: "join-link",
-    read: |bytes| {
-        text(bytes, |link| {
-            let Ok(link) = link.parse::<JoinLink>() else {
-                return false;
-            };
-            let again: JoinLink = link.to_string().parse().expect("a link that was written");
-            assert_eq!(again, link);
-            true
-        })
-    },
-    examples: || {
-        let link = JoinLink {
-            host: "example.org".to_owned(),
-            port: 4433,
-            role: Role::Trainee,
-            certificate: CertificateHash([7; 32]),
-            grant: Grant([9; 16]),
+fn read_link(bytes: &[u8]) -> bool {
+    text(bytes, |link| {
+        let Ok(link) = link.parse::<JoinLink>() else {
+            return false;
         };
-        let near = JoinLink {
-            host: "::1".to_owned(),
-            ..link.clone()
-        };
-        [link, near].map(|l| l.to_string().into_bytes()).into()
-    },
-    holds_max: |len| (64 << 10) + 8 * len,
-};
+        let again: JoinLink = link.to_string().parse().expect("a link that was written");
+        assert_eq!(again, link);
+        true
+    })
+}
+
+fn links() -> Vec<Vec<u8>> {
+    let link = JoinLink {
+        host: "example.org".to_owned(),
+        port: 4433,
+        role: Role::Trainee,
+        certificate: CertificateHash([7; 32]),
+        grant: Grant([9; 16]),
+    };
+    let near = JoinLink {
+        host: "::1".to_owned(),
+        ..link.clone()
+    };
+    [link, near].map(|l| l.to_string().into_bytes()).into()
+}
 
 /// Length-prefixed pieces: two bytes with the length and, in the highest bit, the datagram flag, followed by
 /// the piece.
@@ -109,6 +84,13 @@ fn each_piece(mut bytes: &[u8], mut take: impl FnMut(bool, &[u8])) {
         take(head >> 15 == 1, piece);
         bytes = after;
     }
+}
+
+/// Growing sequences, in which each datagram differs from the previous one.
+fn datagram_sequences() -> Vec<Vec<u8>> {
+    let all = datagrams();
+    let all: Vec<_> = all.iter().map(|d| (true, &d[..])).collect();
+    (1..=all.len()).map(|n| pieces(&all[..n])).collect()
 }
 
 fn datagrams() -> Vec<Vec<u8>> {
@@ -158,7 +140,6 @@ fn read_frames<M: Message + PartialEq + std::fmt::Debug>(bytes: &[u8]) -> bool {
     true
 }
 
-/// The frames of a client in a successful session, followed by its datagrams.
 fn as_a_client() -> Vec<Vec<u8>> {
     let all = examples::client_messages().into_iter();
     let stays = |name: &str| !matches!(name, "Hello again" | "Leave");
@@ -166,7 +147,6 @@ fn as_a_client() -> Vec<Vec<u8>> {
     session(messages)
 }
 
-/// The frames of a server in a successful session, followed by its datagrams.
 fn as_a_server() -> Vec<Vec<u8>> {
     let mut next = 0;
     let mut messages = Vec::new();

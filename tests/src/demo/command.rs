@@ -1,15 +1,10 @@
 //! `palpate-lab demo`.
 
 use std::path::PathBuf;
-use std::process::ExitCode;
-
-use clap::Args;
 
 use super::DemoOptions;
 use crate::cli::{networks, note, print_line};
-use crate::network::Profile;
 use crate::progress::{Interrupt, Progress};
-use crate::stress::PROCESSES_MAX;
 
 /// Report folder without `--report`.
 const REPORT_DIR: &str = "palpate-report";
@@ -46,65 +41,18 @@ Examples:
 The exit code is 0 when every criterion is met, 2 when the command line is wrong, 1 otherwise."
 );
 
-/// Arguments of `demo`.
-#[derive(Debug, Args)]
-pub(crate) struct Arguments {
-    /// A model file (.palp), a scene (.toml), or a sample: thigh, abdominal-wall, leg, handle
-    #[arg(long, default_value = "thigh")]
-    model: String,
-    /// Length of the scripts, 4 to 600 s
-    #[arg(long, default_value_t = 20.0, value_name = "S")]
-    seconds: f64,
-    /// The network between server and clients
-    #[arg(long, default_value = "transatlantic", value_parser = Profile::parse)]
-    profile: Profile,
-    /// Seed of the packet fates
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Artificial time compensation: adaptive, fixed:MS or none
-    #[arg(long, default_value = "adaptive", value_name = "MODE")]
-    compensation: String,
-    /// Busy processes of ordinary priority beside the session: dropouts may then last 60 ms instead of 40
-    #[arg(long, default_value_t = 0, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=i64::from(PROCESSES_MAX)))]
-    stress: u16,
-    /// Print the report as one JSON object
-    #[arg(long)]
-    json: bool,
-    /// Folder of report.txt, report.json, report.html and the plots [default: palpate-report; none with --json]
-    #[arg(long, value_name = "DIR")]
-    report: Option<PathBuf>,
-    /// The share of the scripts after which the spectator joins
-    #[arg(long, default_value_t = 0.4, hide = true)]
-    late_join: f64,
-}
-
 /// Runs `demo`.
-pub(crate) fn run(arguments: Arguments) -> Result<ExitCode, String> {
-    let interrupt =
-        Interrupt::listen().map_err(|e| format!("cannot install the signal handlers: {e}"))?;
-    let executable = std::env::current_exe()
+pub(crate) fn run(mut options: DemoOptions) -> Result<bool, String> {
+    let interrupt = Interrupt::listen()?;
+    options.executable = std::env::current_exe()
         .map_err(|e| format!("cannot find the path of this program: {e}"))?;
-    let wants_files = arguments.report.is_some() || !arguments.json;
-    let report_dir = wants_files.then(|| {
-        arguments
-            .report
-            .unwrap_or_else(|| PathBuf::from(REPORT_DIR))
-    });
-    let options = DemoOptions {
-        executable,
-        model: arguments.model,
-        seconds: arguments.seconds,
-        profile: arguments.profile,
-        seed: arguments.seed,
-        compensation: arguments.compensation,
-        late_join: arguments.late_join,
-        stress: arguments.stress,
-        report: report_dir,
-    };
+    if !options.json {
+        options.report.get_or_insert(PathBuf::from(REPORT_DIR));
+    }
     let mut progress = Progress::new();
     let report = super::run(&options, &mut progress, &interrupt).map_err(|e| e.to_string())?;
     drop(progress);
-    if arguments.json {
+    if options.json {
         let json = serde_json::to_string(&report).expect("a report is plain data");
         print_line(&json)?;
     } else {
@@ -116,9 +64,5 @@ pub(crate) fn run(arguments: Arguments) -> Result<ExitCode, String> {
             dir.join("report.html").display()
         ));
     }
-    Ok(if report.ok {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::FAILURE
-    })
+    Ok(report.ok)
 }

@@ -11,7 +11,6 @@ use crate::chart::{BLUE, Chart, Line, ORANGE, Panel};
 use crate::hand::Hand;
 use crate::network::Profile;
 
-/// Default network.
 const PROFILE: &str = "transatlantic";
 
 /// Approximate number of sessions per seed: the search for a safe delay, then the comparison.
@@ -20,17 +19,14 @@ const SESSIONS: f64 = 12.0;
 /// Drawn seconds of a quantity that changes with each packet; a longer plot would be a solid bar.
 const DRAWN_S: f64 = 1.0;
 
-/// Runs an alignment without compensation.
 pub(super) fn none(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     aligned(bench, "none")
 }
 
-/// Runs an alignment with the smallest safe fixed delay.
 pub(super) fn fixed(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     aligned(bench, "fixed")
 }
 
-/// Runs an alignment with the default delay rule.
 pub(super) fn adaptive(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     aligned(bench, "adaptive")
 }
@@ -40,7 +36,6 @@ pub(super) fn predicted(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     aligned(bench, "predicted")
 }
 
-/// An alignment with the selected network and motion.
 fn alignment(bench: &Bench<'_>, profile: &Profile, seed: u64) -> Alignment {
     let motion = bench.inputs.motion.clone();
     Alignment {
@@ -62,18 +57,15 @@ fn refuse_silence(alignment: &Alignment, network: &str) -> Result<(), String> {
     ))
 }
 
-/// Results of one seed.
 struct SeedResult {
     safe_ms: Option<u32>,
     moments: Vec<Moment>,
     figures: Figures,
-    /// Rms disagreement without compensation, mm.
     none_rms_mm: f64,
     /// Results with a fixed delay equal to this mode's mean.
     equal_lag: Figures,
     /// Results of the default delay rule; only in prediction mode.
     delayed: Option<Figures>,
-    /// Mean prediction horizon, ms.
     ahead_ms: f64,
 }
 
@@ -120,69 +112,63 @@ impl SeedResult {
             delayed: (mode == Mode::Predicted).then(|| alignment.figures(Mode::Adaptive)),
         })
     }
-
-    fn json(&self, name: &str, network: &str, seed: u64) -> Value {
-        let figures = &self.figures;
-        let mean_ms = figures.compensation_ms.mean;
-        let mut value = json!({
-            "mode": name,
-            "profile": network,
-            "seed": seed,
-            "disagreement_mm": figures.disagreement_mm,
-            "compensation_ms": figures.compensation_ms,
-            "smallest_safe_fixed_ms": self.safe_ms,
-            "corrections_over_1mm": figures.corrections_over_1mm,
-            "stale_ticks": figures.stale_ticks,
-            "lag_over_smallest_safe": (self.safe_ms).filter(|&ms| ms > 0).map(|ms| mean_ms / f64::from(ms)),
-            "times_nearer_than_none": self.none_rms_mm / figures.disagreement_mm.rms.max(f64::MIN_POSITIVE),
-            "fixed_at_equal_lag_mm": self.equal_lag.disagreement_mm,
-        });
-        if let Some(delayed) = &self.delayed {
-            value["ahead_ms"] = json!(self.ahead_ms);
-            value["adaptive"] = json!({
-                "disagreement_mm": delayed.disagreement_mm,
-                "compensation_ms": delayed.compensation_ms,
-            });
-        }
-        value
-    }
 }
 
-/// Combines several seeds: root of the mean square, worst 95th percentile and maximum, sums of counts.
-fn all_seeds(results: &[SeedResult], name: &str, network: &str, first_seed: u64) -> Value {
+/// Figures of one seed, or of several: root of the mean square, worst 95th percentile and maximum, sums of counts.
+fn combined(results: &[SeedResult], name: &str, network: &str, first_seed: u64) -> Value {
     let n = results.len().max(1) as f64;
     let most = |of: fn(&SeedResult) -> f64| results.iter().map(of).fold(0.0, f64::max);
     let sum = |of: fn(&SeedResult) -> f64| results.iter().map(of).sum::<f64>();
-    let rms = (sum(|s| s.figures.disagreement_mm.rms.powi(2)) / n).sqrt();
-    let none_rms = (sum(|s| s.none_rms_mm.powi(2)) / n).sqrt();
+    let count = |of: fn(&SeedResult) -> u64| results.iter().map(of).sum::<u64>();
+    let rms = |of: fn(&SeedResult) -> f64| {
+        let squares = results.iter().map(|s| of(s).powi(2)).sum::<f64>();
+        (squares / n).sqrt()
+    };
+    let apart = rms(|s| s.figures.disagreement_mm.rms);
     let mean_ms = sum(|s| s.figures.compensation_ms.mean) / n;
     let safe: Option<Vec<u32>> = results.iter().map(|s| s.safe_ms).collect();
     let safe_mean_ms = safe
         .as_ref()
         .map(|s| s.iter().map(|&ms| f64::from(ms)).sum::<f64>() / n);
-    let rows = (first_seed..).zip(results);
-    json!({
+    let mut value = json!({
         "mode": name,
         "profile": network,
         "seed": first_seed,
-        "seeds": results.len(),
         "disagreement_mm": {
-            "rms": rms,
+            "rms": apart,
             "p95": most(|s| s.figures.disagreement_mm.p95),
             "max": most(|s| s.figures.disagreement_mm.max),
         },
         "compensation_ms": { "mean": mean_ms, "p95": most(|s| s.figures.compensation_ms.p95) },
         "smallest_safe_fixed_ms": safe.and_then(|s| s.into_iter().max()),
-        "corrections_over_1mm": results.iter().map(|s| s.figures.corrections_over_1mm).sum::<u64>(),
-        "stale_ticks": results.iter().map(|s| s.figures.stale_ticks).sum::<u64>(),
+        "corrections_over_1mm": count(|s| s.figures.corrections_over_1mm),
+        "stale_ticks": count(|s| s.figures.stale_ticks),
         "lag_over_smallest_safe": safe_mean_ms.filter(|&ms| ms > 0.0).map(|ms| mean_ms / ms),
-        "times_nearer_than_none": none_rms / rms.max(f64::MIN_POSITIVE),
+        "times_nearer_than_none": rms(|s| s.none_rms_mm) / apart.max(f64::MIN_POSITIVE),
         "fixed_at_equal_lag_mm": {
+            "rms": rms(|s| s.equal_lag.disagreement_mm.rms),
             "p95": most(|s| s.equal_lag.disagreement_mm.p95),
             "max": most(|s| s.equal_lag.disagreement_mm.max),
         },
-        "each": rows.map(|(seed, s)| s.json(name, network, seed)).collect::<Vec<_>>(),
-    })
+    });
+    match results {
+        [one] => {
+            if let Some(delayed) = &one.delayed {
+                value["ahead_ms"] = json!(one.ahead_ms);
+                value["adaptive"] = json!({
+                    "disagreement_mm": delayed.disagreement_mm,
+                    "compensation_ms": delayed.compensation_ms,
+                });
+            }
+        }
+        all => {
+            let each = (first_seed..).zip(all.chunks(1));
+            let each = each.map(|(seed, one)| combined(one, name, network, seed));
+            value["each"] = each.collect();
+            value["seeds"] = json!(all.len());
+        }
+    }
+    value
 }
 
 fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
@@ -202,10 +188,7 @@ fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
         }
         results.push(one);
     }
-    let value = match results.as_slice() {
-        [one] => one.json(name, &profile.name, bench.seed()),
-        all => all_seeds(all, name, &profile.name, bench.seed()),
-    };
+    let value = combined(&results, name, &profile.name, bench.seed());
     let moments = &results[0].moments;
     let panels = alignment_panels(moments, name);
     Ok(Outcome {
@@ -225,17 +208,14 @@ fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
             chart(&format!("alignment, compensation {name}"), panels),
         )],
         tables: vec![(format!("atc-{name}"), table(moments))],
+        ..Outcome::default()
     })
 }
 
 /// Time from a motion to its view at the other site: the network delay without compensation, the playout
 /// delay with it.
 pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
-    let profile = bench.profile_or(PROFILE)?;
-    let alignment = alignment(bench, &profile, bench.seed());
-    (bench.progress)("aligning", 0.0);
-    refuse_silence(&alignment, &profile.name)?;
-    let (without, with) = both(&alignment);
+    let (profile, [without, with]) = both(bench)?;
     let age = |moments: &[Moment]| -> Vec<(f64, f64)> {
         moments.iter().map(|m| (m.time_s, m.age_ms)).collect()
     };
@@ -275,16 +255,13 @@ pub(super) fn transmission(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             chart("transmission time", panels),
         )],
         tables: vec![("transmission".to_owned(), table(&with))],
+        ..Outcome::default()
     })
 }
 
 /// Jitter of a tool at the other site: the second difference of the shown position over 1 ms.
 pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
-    let profile = bench.profile_or(PROFILE)?;
-    let alignment = alignment(bench, &profile, bench.seed());
-    (bench.progress)("aligning", 0.0);
-    refuse_silence(&alignment, &profile.name)?;
-    let (without, with) = both(&alignment);
+    let (profile, [without, with]) = both(bench)?;
     let (without, with) = (shaking(&without), shaking(&with));
     let rms = |v: &[(f64, f64)]| {
         (v.iter().map(|p| p.1 * p.1).sum::<f64>() / v.len().max(1) as f64).sqrt()
@@ -317,17 +294,20 @@ pub(super) fn jitter(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         ),
         figures,
         charts: vec![("jitter".to_owned(), chart("jitter of a shown tool", panels))],
-        tables: Vec::new(),
+        ..Outcome::default()
     })
 }
 
-/// The moments without compensation and with the default rule.
-fn both(alignment: &Alignment) -> (Vec<Moment>, Vec<Moment>) {
-    let adaptive = Mode::Adaptive;
-    (alignment.moments(Mode::None), alignment.moments(adaptive))
+/// The network, and the moments without compensation and with the default rule.
+fn both(bench: &mut Bench<'_>) -> Result<(Profile, [Vec<Moment>; 2]), String> {
+    let profile = bench.profile_or(PROFILE)?;
+    let alignment = alignment(bench, &profile, bench.seed());
+    (bench.progress)("aligning", 0.0);
+    refuse_silence(&alignment, &profile.name)?;
+    let moments = [Mode::None, Mode::Adaptive].map(|mode| alignment.moments(mode));
+    Ok((profile, moments))
 }
 
-/// The drawn part of a series.
 fn first_seconds(course: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let until = course.first().map_or(0.0, |p| p.0) + DRAWN_S;
     (course.iter().copied())

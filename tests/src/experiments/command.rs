@@ -1,21 +1,18 @@
 //! `palpate-lab run` and `list`.
 
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 use clap::Args;
 
 use super::inputs::Inputs;
 use super::recipe::Recipe;
-use super::registry::{ALL, Experiment, named};
+use super::registry::{ALL, Experiment};
 use crate::cli::{note, print_line};
 use crate::name_suggestion::did_you_mean;
 use crate::progress::Progress;
 
-/// Default output directory.
 pub(super) const DIR: &str = "palpate-experiments";
 
-/// Text at the end of `run --help`.
 pub const RUN_HELP: &str = "\
 Examples:
   palpate-lab list
@@ -70,7 +67,6 @@ pub struct RunArguments {
     out: Option<PathBuf>,
 }
 
-/// The requested experiment.
 #[derive(Debug, Clone)]
 enum Which {
     Named(Experiment),
@@ -84,9 +80,12 @@ fn which(word: &str) -> Result<Which, String> {
     experiment(word).map(Which::Named)
 }
 
-/// The experiment with this name.
+pub(super) fn find(name: &str, among: &[Experiment]) -> Option<Experiment> {
+    among.iter().find(|e| e.name == name).copied()
+}
+
 pub(super) fn experiment(name: &str) -> Result<Experiment, String> {
-    named(name).ok_or_else(|| {
+    find(name, ALL).ok_or_else(|| {
         let names: Vec<&str> = ALL.iter().map(|e| e.name).collect();
         let (meant, names) = (did_you_mean(name, &names), names.join(", "));
         format!("unknown experiment \"{name}\"{meant}; known experiments: {names}")
@@ -94,7 +93,6 @@ pub(super) fn experiment(name: &str) -> Result<Experiment, String> {
 }
 
 impl RunArguments {
-    /// The experiment and its options, from the command line and the file.
     fn recipe(&self) -> Result<(Experiment, Recipe), String> {
         let (experiment, file) = match &self.experiment {
             Which::Named(experiment) => (*experiment, Recipe::default()),
@@ -109,10 +107,10 @@ impl RunArguments {
     }
 }
 
-/// Rejects options that the experiment does not use.
 fn refuse_unused(experiment: Experiment, recipe: &Recipe) -> Result<(), String> {
-    for (input, option, is_given, why) in recipe.options() {
+    for (input, is_given) in recipe.options() {
         if is_given && !experiment.takes.contains(&input) {
+            let (option, why) = input.described();
             return Err(format!(
                 "\"{}\" {why}; remove --{option} or the line `{option}` in the file",
                 experiment.name
@@ -122,16 +120,14 @@ fn refuse_unused(experiment: Experiment, recipe: &Recipe) -> Result<(), String> 
     Ok(())
 }
 
-/// Lists the experiments.
-pub fn list() -> Result<ExitCode, String> {
+pub fn list() -> Result<bool, String> {
     for e in ALL {
         print_line(&format!("{:<12} {}", e.name, e.about))?;
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(true)
 }
 
-/// Runs an experiment.
-pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
+pub fn run(arguments: &RunArguments) -> Result<bool, String> {
     let (experiment, recipe) = arguments.recipe()?;
     refuse_unused(experiment, &recipe)?;
     let out = match (&arguments.out, arguments.json) {
@@ -169,7 +165,7 @@ pub fn run(arguments: &RunArguments) -> Result<ExitCode, String> {
     }
     let missed = outcome.missed();
     if missed.is_empty() {
-        return Ok(ExitCode::SUCCESS);
+        return Ok(true);
     }
     Err(format!("not ok: {}", missed.join("; ")))
 }

@@ -17,7 +17,6 @@ const DEPTH_M: f64 = 5e-3;
 const DRAG_M: f64 = 30e-3;
 /// Drag speed; a slow drag shows the elastic stretch before the slip.
 const SPEED_M_S: f64 = 0.03;
-/// Duration of the press, s.
 const PRESS_S: f64 = 0.25;
 
 /// Name, friction coefficients (static, dynamic) and colour.
@@ -41,7 +40,6 @@ fn bar() -> ToolDescription {
     }
 }
 
-/// Figures of stick and slip.
 fn slip(result: &ScenarioResult, [stick, slide]: [f64; 2]) -> serde_json::Value {
     let ratios = |slides: bool| {
         let points = result.checked().filter(move |(p, _)| p.slides == slides);
@@ -114,5 +112,6 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         figures: json!({ "experiment": "friction", "cases": cases.figures }),
         charts,
         tables: cases.tables,
+        ..Outcome::default()
     })
 }

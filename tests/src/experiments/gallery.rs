@@ -3,9 +3,9 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Map, Value};
 
+use super::registry::Experiment;
 use super::{Outcome, Table, table};
 
-/// Maximum number of rows of an initially open table.
 pub(super) const ROWS_OPEN: usize = 48;
 
 /// Maximum number of rows of a table on the page. Longer tables are time series; they are drawn and stay in
@@ -27,18 +27,11 @@ th:first-child,td:first-child,td.word,th.word{text-align:left}\
 .failed{border-left:4px solid #d55e00;padding:.4em .8em;background:#fdf1ea}\
 .aside{color:#666;font-size:.9em}@media print{details{display:none}}";
 
-/// An experiment or benchmark after its run.
 #[derive(Debug, Clone)]
 pub struct Part {
-    /// Name.
-    pub name: String,
-    /// One-line description with the dissertation's figure.
-    pub about: String,
-    /// Command that repeats it.
+    pub item: Experiment,
     pub command: String,
-    /// Duration, s.
     pub took_s: f64,
-    /// Result, or the error message.
     pub result: Result<Outcome, String>,
 }
 
@@ -50,18 +43,13 @@ impl Part {
     }
 }
 
-/// Description of the whole page.
 #[derive(Debug, Clone)]
 pub struct Origin {
-    /// Versions of the program and the protocol.
     pub versions: String,
-    /// Machine of the run.
     pub machine: String,
-    /// Number of planned parts.
     pub planned: usize,
 }
 
-/// The page as HTML.
 pub fn page(parts: &[Part], origin: &Origin) -> String {
     let failed: Vec<&Part> = parts.iter().filter(|p| p.result.is_err()).collect();
     let missed: Vec<&Part> = parts.iter().filter(|p| p.has_missed()).collect();
@@ -85,7 +73,7 @@ pub fn page(parts: &[Part], origin: &Origin) -> String {
                 (links("Failed", &failed))
                 (links("Limits missed", &missed))
                 ul {
-                    @for p in parts { li { (link(&format!("#{}", p.name), &p.name)) ": " (p.about) } }
+                    @for p in parts { li { (link(&format!("#{}", p.item.name), p.item.name)) ": " (p.item.about) } }
                 }
                 @for part in parts { (section(part)) }
             }
@@ -106,7 +94,7 @@ fn links(problem: &str, parts: &[&Part]) -> Markup {
                 (problem) ": "
                 @for (k, part) in parts.iter().enumerate() {
                     @if k > 0 { ", " }
-                    (link(&format!("#{}", part.name), &part.name))
+                    (link(&format!("#{}", part.item.name), part.item.name))
                 }
                 "."
             }
@@ -124,8 +112,8 @@ fn time(s: f64) -> String {
 
 fn section(part: &Part) -> Markup {
     html! {
-        h2 id=(part.name) { (part.name) }
-        p { b { (part.about) } }
+        h2 id=(part.item.name) { (part.item.name) }
+        p { b { (part.item.about) } }
         p.aside { "Command: " code { (part.command) } " (took " (time(part.took_s)) ")" }
         @match &part.result {
             Ok(outcome) => (results(part, outcome)),
@@ -135,41 +123,31 @@ fn section(part: &Part) -> Markup {
 }
 
 fn results(part: &Part, outcome: &Outcome) -> Markup {
-    let (mut lists, mut scalars) = (Vec::new(), Map::new());
-    flatten("", &outcome.figures, &mut scalars, &mut lists);
+    let mut scalars = Map::new();
+    flatten("", &outcome.figures, &mut scalars);
     scalars.remove("experiment");
-    let scalars = Table {
-        head: vec!["figure".to_owned(), "value".to_owned()],
-        rows: (scalars
-            .iter()
-            .map(|(name, value)| vec![name.clone(), table::alone(value)]))
-        .collect(),
-    };
-    let fits =
-        |(_, table): &&(String, Table)| !table.rows.is_empty() && table.rows.len() <= ROWS_MAX;
-    let mut tables: Vec<(String, Table)> = outcome.tables.iter().filter(fits).cloned().collect();
-    if tables.is_empty() {
-        // Tables contain the same figures as the lists, in readable form.
-        tables.extend(
-            lists
-                .iter()
-                .map(|(name, objects)| (name.clone(), of_objects(objects))),
-        );
+    let mut figures = Table::new("figure,value");
+    for (name, value) in scalars {
+        figures.rows.push(vec![name, table::alone(&value)]);
     }
+    let tables = outcome.tables.iter().cloned();
+    let tables = tables.filter(|(_, t)| !t.rows.is_empty() && t.rows.len() <= ROWS_MAX);
     html! {
         p { (outcome.caption) }
         @for (_, chart) in &outcome.charts { figure { (PreEscaped(chart.to_svg())) } }
-        @if !scalars.rows.is_empty() { (shown(&scalars.head, &scalars.rows)) }
-        @for (name, table) in &mut tables { (folded(name, table)) }
+        @match &outcome.text {
+            Some(text) => pre { (text) },
+            None => (shown(&figures)),
+        }
+        @for (name, table) in tables { (folded(&name, table)) }
         (files(part, outcome))
     }
 }
 
-/// Links to the part's files.
 fn files(part: &Part, outcome: &Outcome) -> Markup {
     let charts = outcome.charts.iter().map(|(n, _)| format!("{n}.svg"));
     let tables = outcome.tables.iter().map(|(n, _)| format!("{n}.csv"));
-    let json = std::iter::once(format!("{}.json", part.name));
+    let json = std::iter::once(format!("{}.json", part.item.name));
     html! {
         p.aside {
             "Files: "
@@ -181,113 +159,49 @@ fn files(part: &Part, outcome: &Outcome) -> Markup {
     }
 }
 
-/// Collects single figures by their path, and lists of objects.
-fn flatten(
-    path: &str,
-    value: &Value,
-    scalars: &mut Map<String, Value>,
-    lists: &mut Vec<(String, Vec<Value>)>,
-) {
-    let below = |key: &str| match path {
-        "" => key.to_owned(),
-        _ => format!("{path}.{key}"),
-    };
+/// Collects single figures by their path. Lists of objects are in tables.
+fn flatten(path: &str, value: &Value, scalars: &mut Map<String, Value>) {
     match value {
-        // An object whose values all have the same keys is a list.
-        Value::Object(object) if !path.is_empty() && is_list(object) => {
-            let named = object.iter().map(|(name, value)| {
-                let mut row = value.clone();
-                row["name"] = Value::from(name.clone());
-                row
-            });
-            lists.push((path.to_owned(), named.collect()));
-        }
         Value::Object(object) => {
             for (key, value) in object {
-                flatten(&below(key), value, scalars, lists);
+                let below = [path, key].join(if path.is_empty() { "" } else { "." });
+                flatten(&below, value, scalars);
             }
         }
-        Value::Array(values) if values.iter().any(Value::is_object) => {
-            lists.push((path.to_owned(), values.clone()));
-        }
+        Value::Array(values) if values.iter().any(Value::is_object) => {}
         _ => {
             scalars.insert(path.to_owned(), value.clone());
         }
     }
 }
 
-/// Whether all values have the same keys, at least two.
-fn is_list(object: &Map<String, Value>) -> bool {
-    let mut keys = (object.values()).map(|v| v.as_object().map(|o| o.keys().collect::<Vec<_>>()));
-    let Some(Some(first)) = keys.next() else {
-        return false;
-    };
-    object.len() > 2 && first.len() > 1 && keys.all(|k| k.as_ref() == Some(&first))
-}
-
-/// Objects as rows, with one column for each path in any object.
-fn of_objects(objects: &[Value]) -> Table {
-    let flat: Vec<Map<String, Value>> = (objects.iter())
-        .map(|object| {
-            let (mut scalars, mut lists) = (Map::new(), Vec::new());
-            flatten("", object, &mut scalars, &mut lists);
-            for (name, list) in lists {
-                scalars.insert(name, Value::String(format!("{} rows", list.len())));
-            }
-            scalars
-        })
-        .collect();
-    let mut head: Vec<String> = Vec::new();
-    for key in flat.iter().flat_map(Map::keys) {
-        if !head.contains(key) {
-            head.push(key.clone());
-        }
-    }
-    // Text columns come first.
-    let is_word = |key: &String| {
-        let values = flat.iter().filter_map(|row| row.get(key));
-        values.clone().next().is_some() && values.into_iter().all(Value::is_string)
-    };
-    head.sort_by_key(|key| !is_word(key));
-    let cells = |row: &Map<String, Value>| -> Vec<String> {
-        let cell = |key| row.get(key).map_or(String::new(), table::whole);
-        head.iter().map(cell).collect()
-    };
-    let rows = flat.iter().map(cells).collect();
-    Table { head, rows }
-}
-
 /// A table that is folded if it is long.
-fn folded(name: &str, table: &mut Table) -> Markup {
+fn folded(name: &str, mut table: Table) -> Markup {
     table::aligned(&mut table.rows);
     html! {
         details open[table.rows.len() <= ROWS_OPEN] {
             summary { (name) ": " (table.rows.len()) " rows" }
-            (shown(&table.head, &table.rows))
+            (shown(&table))
         }
     }
 }
 
-fn shown(head: &[String], rows: &[Vec<String>]) -> Markup {
+fn shown(Table { head, rows }: &Table) -> Markup {
     // Text columns and their headings are left-aligned.
-    let is_word = |k: usize| {
-        let mut column = rows.iter().filter_map(|row| row.get(k));
-        column.any(|cell| table::is_word(cell))
-    };
+    let is_word = |k: usize| rows.iter().any(|row| table::is_word(&row[k]));
     let classes: Vec<Option<&str>> = (0..head.len())
         .map(|k| is_word(k).then_some("word"))
         .collect();
     html! {
-        div.scroll {
-            table {
-                tr { @for (name, class) in head.iter().zip(&classes) { th class=[class] { (name) } } }
-                @for row in rows.iter().take(ROWS_MAX) {
-                    tr { @for (cell, class) in row.iter().zip(&classes) { td class=[class] { (cell) } } }
+        @if !rows.is_empty() {
+            div.scroll {
+                table {
+                    tr { @for (name, class) in head.iter().zip(&classes) { th class=[class] { (name) } } }
+                    @for row in rows {
+                        tr { @for (cell, class) in row.iter().zip(&classes) { td class=[class] { (cell) } } }
+                    }
                 }
             }
-        }
-        @if rows.len() > ROWS_MAX {
-            p.aside { "The first " (ROWS_MAX) " of " (rows.len()) " rows." }
         }
     }
 }
@@ -297,11 +211,16 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+    use crate::experiments::registry::ALL;
 
-    fn part(name: &str, result: Result<Outcome, String>) -> Part {
+    fn part(name: &'static str, result: Result<Outcome, String>) -> Part {
+        let item = Experiment {
+            name,
+            about: "a < b (fig 7.26)",
+            ..ALL[0]
+        };
         Part {
-            name: name.to_owned(),
-            about: "a < b (fig 7.26)".to_owned(),
+            item,
             command: format!("palpate-lab run {name} --seed 1"),
             took_s: 1.5,
             result,
@@ -312,8 +231,7 @@ mod tests {
         Outcome {
             caption: "what it shows".to_owned(),
             figures: json!({ "apart_mm": { "p95": 0.012_345_6 }, "rows": [{ "a": 1, "b": { "c": "word" } }] }),
-            charts: Vec::new(),
-            tables: Vec::new(),
+            ..Outcome::default()
         }
     }
 
@@ -368,31 +286,15 @@ mod tests {
     }
 
     #[test]
-    fn nested_figures_become_tables() {
+    fn single_figures_are_listed_by_their_path_and_a_report_replaces_them() {
         let html = page(&[part("good", Ok(outcome()))], &origin());
-        for expected in [
-            "apart_mm.p95",
-            ">0.01235<",
-            "<th class=\"word\">b.c</th>",
-            ">word<",
-        ] {
-            assert!(html.contains(expected), "{expected} is not in {html}");
-        }
-    }
-
-    #[test]
-    fn objects_with_equal_keys_become_rows() {
-        let figures = json!({ "classes": { "x": { "a": 1, "b": 2 }, "y": { "a": 3, "b": 4 }, "z": { "a": 5, "b": 6 } } });
-        let outcome = Outcome {
-            figures,
+        assert!(html.contains("apart_mm.p95") && html.contains(">0.01235<"));
+        let reported = Outcome {
+            text: Some("a <report>".to_owned()),
             ..outcome()
         };
-        let html = page(&[part("good", Ok(outcome))], &origin());
-        assert!(
-            html.contains("classes: 3 rows")
-                && html.contains(">name<")
-                && !html.contains("classes.x")
-        );
+        let html = page(&[part("good", Ok(reported))], &origin());
+        assert!(html.contains("<pre>a &lt;report&gt;</pre>") && !html.contains("apart_mm"));
     }
 
     #[test]

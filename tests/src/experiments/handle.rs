@@ -67,5 +67,6 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         figures: json!({ "experiment": "handle", "materials": cases.figures }),
         charts: vec![("handle".to_owned(), chart)],
         tables: cases.tables,
+        ..Outcome::default()
     })
 }

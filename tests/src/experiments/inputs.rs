@@ -5,51 +5,54 @@ use std::sync::Arc;
 
 use palpate_device::backend::replay::{Motion, MotionError};
 use palpate_tissue::Model;
+use serde_json::Value;
 
+use super::Outcome;
 use super::recipe::Recipe;
-use super::{Outcome, registry::Experiment};
+use super::registry::{Experiment, Work};
 use crate::bench::on_threads;
+use crate::cli::measured;
 use crate::hand::{Hand, HandParameters, Random};
 use crate::network::Profile;
 use crate::test_model::{self, TestModel};
 
-/// Default seed.
 pub(super) const SEED: u64 = 1;
 
-/// An option that experiments may accept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Input {
-    /// Another tissue model.
     Model,
-    /// Seed of the random numbers.
     Seed,
-    /// Number of seeds.
     Seeds,
     /// Number of sessions in real time, with processes and sockets.
     Real,
-    /// A network.
     Profile,
-    /// Recorded hand motion.
     Motion,
+}
+
+impl Input {
+    /// Name of the option, and why an experiment may not accept it.
+    pub(super) fn described(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Model => ("model", "has a fixed tissue"),
+            Self::Seed => ("seed", "uses no random numbers"),
+            Self::Seeds => ("seeds", "has a single run"),
+            Self::Real => ("real", "has no real-time sessions"),
+            Self::Profile => ("profile", "has no network or a fixed set of networks"),
+            Self::Motion => ("motion", "has fixed tool paths"),
+        }
+    }
 }
 
 /// Callback for progress: the activity and the completed share.
 pub(super) type Progress<'a> = dyn FnMut(&str, f64) + Send + 'a;
 
-/// Loaded options.
 #[derive(Debug, Clone, Default)]
 pub struct Inputs {
-    /// Tissue model instead of the default.
     pub model: Option<Arc<Model>>,
-    /// Seed of all random numbers, if given.
     pub seed: Option<u64>,
-    /// Number of seeds.
     pub seeds: Option<u64>,
-    /// Number of sessions in real time.
     pub real: Option<u64>,
-    /// Network instead of the default.
     pub profile: Option<Profile>,
-    /// Recorded motion instead of the default hand.
     pub motion: Option<Arc<Motion>>,
 }
 
@@ -57,7 +60,7 @@ impl Inputs {
     /// Loads the files of a recipe; built models go into `dir`.
     pub(super) fn load(recipe: &Recipe, dir: &Path) -> Result<Self, String> {
         let profile = recipe.profile.as_deref().map(Profile::parse);
-        let profile = profile.transpose().map_err(|e| e.to_string())?;
+        let profile = profile.transpose()?;
         let motion = recipe.motion.as_ref().map(|file| {
             let motion = Motion::load(Path::new(file)).map_err(|e| match e {
                 MotionError::Read { .. } | MotionError::TooLarge { .. } => e.to_string(),
@@ -67,10 +70,10 @@ impl Inputs {
         });
         let motion = motion.transpose()?;
         // Last: a build takes long.
-        let model = recipe.model.as_ref().map(|name| {
-            let built = TestModel::prepare(name, dir).map_err(|e| e.to_string());
-            built.map(|built| built.model)
-        });
+        let model = recipe
+            .model
+            .as_ref()
+            .map(|name| TestModel::prepare(name, dir).map(|built| built.model));
         Ok(Self {
             profile,
             motion,
@@ -82,18 +85,14 @@ impl Inputs {
     }
 }
 
-/// An experiment's inputs, working directory and progress.
 pub struct Bench<'a> {
-    /// The options.
     pub inputs: Inputs,
     /// Directory for built models.
     pub dir: &'a Path,
-    /// Progress callback.
     pub progress: &'a mut Progress<'a>,
 }
 
 impl Bench<'_> {
-    /// The seed of all random numbers.
     pub(super) fn seed(&self) -> u64 {
         self.inputs.seed.unwrap_or(SEED)
     }
@@ -106,22 +105,19 @@ impl Bench<'_> {
         }
     }
 
-    /// The given network, or a named one.
     pub(super) fn profile_or(&self, name: &str) -> Result<Profile, String> {
         match &self.inputs.profile {
             Some(profile) => Ok(profile.clone()),
-            None => Profile::named(name).map_err(|e| e.to_string()),
+            None => Profile::named(name),
         }
     }
 
-    /// The given model, or a built-in sample.
     pub(super) fn model_or(&mut self, sample: &str) -> Result<Arc<Model>, String> {
         if let Some(model) = &self.inputs.model {
             return Ok(Arc::clone(model));
         }
         (self.progress)(&format!("building the sample \"{sample}\""), 0.0);
-        let built = TestModel::prepare(sample, self.dir).map_err(|e| e.to_string())?;
-        Ok(built.model)
+        Ok(TestModel::prepare(sample, self.dir)?.model)
     }
 
     /// The given model, or a soft block of this many cells.
@@ -132,14 +128,19 @@ impl Bench<'_> {
 }
 
 impl Experiment {
-    /// Runs the experiment on one thread, as the haptic path requires.
+    /// Runs an experiment on one thread, as the haptic path requires, or a benchmark.
     pub(super) fn run(
         &self,
         inputs: Inputs,
         dir: &Path,
         progress: &mut Progress<'_>,
     ) -> Result<Outcome, String> {
-        let run = self.run;
+        let run = match self.work {
+            Work::Experiment(run) => run,
+            Work::Command(line, caption) => {
+                return on_threads(1, || measure(line, caption, progress))?;
+            }
+        };
         on_threads(1, || {
             run(&mut Bench {
                 inputs,
@@ -148,4 +149,21 @@ impl Experiment {
             })
         })?
     }
+}
+
+fn measure(line: &str, caption: &str, progress: &mut Progress<'_>) -> Result<Outcome, String> {
+    let [json, text] = measured(line, &mut |what| progress(what, 0.0))?;
+    let figures: Value = serde_json::from_str(&json).map_err(|e| e.to_string())?;
+    if figures["failures"]
+        .as_array()
+        .is_some_and(|f| !f.is_empty())
+    {
+        return Err(text);
+    }
+    Ok(Outcome {
+        caption: caption.to_owned(),
+        figures,
+        text: Some(text),
+        ..Outcome::default()
+    })
 }

@@ -21,8 +21,8 @@ const SHARE: f64 = 0.8;
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let model = without_friction(&*bench.model_or("leg")?);
     let topology = Topology::new(Arc::clone(&model));
-    let muscle = ToolLocation::find(&topology).map_err(|e| e.to_string())?;
-    let bone = ToolLocation::find_thin(&topology).map_err(|e| e.to_string())?;
+    let muscle = ToolLocation::find(&topology)?;
+    let bone = ToolLocation::find_thin(&topology)?;
     let mut cases = Cases::default();
     for (name, at, colour) in [("over muscle", muscle, BLUE), ("over bone", bone, ORANGE)] {
         let depth = DEPTH_M.min(SHARE * at.depth_m);
@@ -51,6 +51,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         figures: json!({ "experiment": "leg-press", "nodes": model.nodes.len(), "spots": cases.figures }),
         charts: vec![("leg-press".to_owned(), chart)],
         tables: cases.tables,
+        ..Outcome::default()
     })
 }
 

@@ -8,16 +8,11 @@ use super::samples::{HISTORY_US, Sampled, angle_deg, distance, method_line};
 use super::{Bench, Outcome, Table};
 use crate::chart::{BLACK, Chart, Line, Mark, Panel};
 
-/// Sample rate of the stream.
 const RATE_HZ: u32 = 1000;
-
-/// Length of the gap, ms.
 const GAP_MS: i64 = 50;
 
 /// Drawn time before and after the gap, ms; a longer time would make the gap too narrow.
 const AROUND_MS: i64 = 20;
-
-/// Time step of the drawing, µs.
 const STEP_US: i64 = 250;
 
 /// Step of the search for a gap, ms. The drawn gap is the one with the largest error of linear
@@ -102,7 +97,6 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     Ok(outcome(panels, &figures, table))
 }
 
-/// Reconstruction of a method at one time, and its error.
 struct Point {
     t_us: i64,
     position_m: [f64; 3],
@@ -157,6 +151,7 @@ fn outcome(panels: Vec<Panel>, figures: &[Value], table: Table) -> Outcome {
         figures: json!({ "experiment": "missing-data", "rate_hz": RATE_HZ, "gap_ms": GAP_MS, "methods": figures }),
         charts: vec![("missing-data".to_owned(), chart)],
         tables: vec![("missing-data".to_owned(), table)],
+        ..Outcome::default()
     }
 }
 
@@ -178,7 +173,6 @@ fn worst_gap(sampled: &Sampled<'_>) -> Result<i64, String> {
     Ok(worst.0)
 }
 
-/// The axis of the largest motion during the gap.
 fn axis_of_largest_motion(sampled: &Sampled<'_>, began: i64, ended: i64) -> usize {
     let range = |axis: usize| {
         let along = || {

@@ -5,7 +5,6 @@
 //! [`gallery`](mod@gallery) presents all results on one page.
 
 mod atc;
-mod benches;
 pub mod command;
 mod friction;
 pub mod gallery;
@@ -34,32 +33,26 @@ use palpate_tissue::write_file;
 use serde_json::Value;
 
 use crate::chart::Chart;
+use command::make_folder;
 
 pub use inputs::{Bench, Input};
 pub use table::Table;
 
-/// Results of an experiment.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Outcome {
-    /// Description for readers of the page.
     pub caption: String,
-    /// Figures, a JSON object.
     pub figures: Value,
     /// Charts by file name, without extension.
     pub charts: Vec<(String, Chart)>,
-    /// Tables by file name, without extension.
     pub tables: Vec<(String, Table)>,
+    /// A report that shows the figures instead of tables.
+    pub text: Option<String>,
 }
 
 impl Outcome {
     /// Writes charts, tables and the figures as `name.json` into `dir`, which is created if necessary.
     pub fn write(&self, dir: &Path, name: &str) -> Result<(), String> {
-        std::fs::create_dir_all(dir).map_err(|e| {
-            format!(
-                "{}: {e}; check that the directory is writable and has free space",
-                dir.display()
-            )
-        })?;
+        make_folder(dir)?;
         let write = |file: String, text: String| {
             write_file(&dir.join(file), text).map_err(|e| e.to_string())
         };
@@ -93,7 +86,6 @@ impl Outcome {
     }
 }
 
-/// The missed limits in rows of figures.
 fn missed_by<'a>(rows: impl IntoIterator<Item = &'a Value>) -> Vec<String> {
     let missed = rows.into_iter().filter_map(|row| row["missed"].as_array());
     let sentence = |what: &Value| what.as_str().map(str::to_owned);

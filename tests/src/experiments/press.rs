@@ -106,5 +106,6 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         }),
         charts: vec![("press".to_owned(), Chart::new(title, "time (s)", panels))],
         tables: vec![("press-ball".to_owned(), ball.table()), ("press-line".to_owned(), line.table())],
+        ..Outcome::default()
     })
 }

@@ -13,14 +13,13 @@
 use std::path::Path;
 
 use clap::Args;
-use palpate_device::text_file::{self, TextFileError};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 
 use super::Input;
+use crate::input_file;
 use crate::name_suggestion::with_suggestion;
 
-/// Maximum file size, bytes.
 const BYTES_MAX: u64 = 64 << 10;
 
 /// Maximum number of seeds, days of work; also the limit of the command line.
@@ -29,21 +28,13 @@ pub const SEEDS_MAX: u64 = 1_000_000;
 /// Maximum number of sessions in real time, about a day.
 pub const REAL_MAX: u64 = 10_000;
 
-fn seeds<'de, D: Deserializer<'de>>(value: D) -> Result<Option<u64>, D::Error> {
-    between_one_and(SEEDS_MAX, value)
-}
-
-fn real<'de, D: Deserializer<'de>>(value: D) -> Result<Option<u64>, D::Error> {
-    between_one_and(REAL_MAX, value)
-}
-
-fn between_one_and<'de, D: Deserializer<'de>>(max: u64, value: D) -> Result<Option<u64>, D::Error> {
+fn up_to<'de, const MAX: u64, D: Deserializer<'de>>(value: D) -> Result<Option<u64>, D::Error> {
     let n = u64::deserialize(value)?;
-    if (1..=max).contains(&n) {
+    if (1..=MAX).contains(&n) {
         return Ok(Some(n));
     }
     Err(D::Error::custom(format!(
-        "{n} is out of range; use a number from 1 to {max}"
+        "{n} is out of range; use a number from 1 to {MAX}"
     )))
 }
 
@@ -62,11 +53,11 @@ pub struct Recipe {
     pub seed: Option<u64>,
     /// Number of simulated sessions, each with its own seed
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=SEEDS_MAX))]
-    #[serde(default, deserialize_with = "seeds")]
+    #[serde(default, deserialize_with = "up_to::<SEEDS_MAX, _>")]
     pub seeds: Option<u64>,
     /// Number of additional sessions in real time, with processes and QUIC
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=REAL_MAX))]
-    #[serde(default, deserialize_with = "real")]
+    #[serde(default, deserialize_with = "up_to::<REAL_MAX, _>")]
     pub real: Option<u64>,
     /// Network instead of the default: a name, or a file (.toml)
     #[arg(long)]
@@ -79,16 +70,8 @@ pub struct Recipe {
 impl Recipe {
     /// Loads a recipe. Relative paths in it refer to its directory.
     pub fn load(path: &Path) -> Result<Self, String> {
-        let shown = path.display();
-        let text = text_file::read(path, BYTES_MAX).map_err(|e| match e {
-            TextFileError::Read(why) => format!("cannot read {shown}: {why}"),
-            TextFileError::TooLarge { bytes } => {
-                format!(
-                    "{shown} has {bytes} bytes; an experiment file may have at most {BYTES_MAX}"
-                )
-            }
-        })?;
-        let mut recipe = Self::parse(&text).map_err(|e| format!("{shown}: {e}"))?;
+        let text = input_file::read(path, "experiment file", BYTES_MAX, "name files in it")?;
+        let mut recipe = Self::parse(&text).map_err(|e| format!("{}: {e}", path.display()))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let beside = |name: &mut String| {
             // A value that is no file there may be a name, such as a sample.
@@ -117,49 +100,17 @@ impl Recipe {
         }
     }
 
-    /// Each option: its name, whether it is given, and why an experiment may not accept it.
-    pub(super) fn options(&self) -> [(Input, &'static str, bool, &'static str); 6] {
+    pub(super) fn options(&self) -> [(Input, bool); 6] {
         [
-            (
-                Input::Model,
-                "model",
-                self.model.is_some(),
-                "has a fixed tissue",
-            ),
-            (
-                Input::Seed,
-                "seed",
-                self.seed.is_some(),
-                "uses no random numbers",
-            ),
-            (
-                Input::Seeds,
-                "seeds",
-                self.seeds.is_some(),
-                "has a single run",
-            ),
-            (
-                Input::Real,
-                "real",
-                self.real.is_some(),
-                "has no real-time sessions",
-            ),
-            (
-                Input::Profile,
-                "profile",
-                self.profile.is_some(),
-                "has no network or a fixed set of networks",
-            ),
-            (
-                Input::Motion,
-                "motion",
-                self.motion.is_some(),
-                "has fixed tool paths",
-            ),
+            (Input::Model, self.model.is_some()),
+            (Input::Seed, self.seed.is_some()),
+            (Input::Seeds, self.seeds.is_some()),
+            (Input::Real, self.real.is_some()),
+            (Input::Profile, self.profile.is_some()),
+            (Input::Motion, self.motion.is_some()),
         ]
     }
 
-    /// Parses a recipe.
     pub fn parse(text: &str) -> Result<Self, String> {
         toml::from_str(text).map_err(|e| with_suggestion(&e.to_string()))
     }

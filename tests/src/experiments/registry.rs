@@ -1,4 +1,4 @@
-//! All experiments of the command line.
+//! All experiments and benchmarks.
 
 use super::inputs::Input::{self, Model, Motion, Profile, Real, Seed, Seeds};
 use super::{
@@ -6,126 +6,91 @@ use super::{
     soft_hard, table_7_1, thin, tool_paths,
 };
 
-/// An experiment or a benchmark.
 #[derive(Debug, Clone, Copy)]
 pub struct Experiment {
-    /// Name on the command line.
     pub name: &'static str,
-    /// One-line description.
     pub about: &'static str,
     /// Accepted options; others are rejected.
     pub takes: &'static [Input],
-    /// Runs it.
-    pub(super) run: fn(&mut Bench<'_>) -> Result<Outcome, String>,
+    /// Duration on two idle cores, s: CPU time, or wall time for real-time experiments. Only ratios matter,
+    /// because completed parts calibrate the machine's speed.
+    pub took_s: f64,
+    pub(super) work: Work,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Work {
+    Experiment(fn(&mut Bench<'_>) -> Result<Outcome, String>),
+    /// A benchmark: the command that repeats it, and the caption of its report.
+    Command(&'static str, &'static str),
+}
+
+macro_rules! experiments {
+    ($($name:literal, $took_s:literal, $takes:expr, $work:expr, $about:literal;)*) => {
+        &[$(Experiment { name: $name, about: $about, takes: &$takes, took_s: $took_s, work: $work }),*]
+    };
 }
 
 /// All experiments in run order.
-pub const ALL: &[Experiment] = &[
-    Experiment {
-        name: "soft-hard",
-        about: "a ball on soft tissue, on stiff tissue and between them (Lin 2007, fig 4.8)",
-        takes: &[],
-        run: soft_hard::run,
-    },
-    Experiment {
-        name: "friction",
-        about: "a ball and a line dragged over tissue: stick, slip and torque (figs 4.11 to 4.13)",
-        takes: &[],
-        run: friction::run,
-    },
-    Experiment {
-        name: "handle",
-        about: "a soft grip around a hard core: force against depth for three materials (fig 7.4)",
-        takes: &[Model],
-        run: handle::run,
-    },
-    Experiment {
-        name: "tool-paths",
-        about: "one target point reached along four paths (fig 7.10)",
-        takes: &[Model],
-        run: tool_paths::run,
-    },
-    Experiment {
-        name: "leg-press",
-        about: "a leg with rigid bones pressed over muscle and over bone (fig 7.11)",
-        takes: &[Model],
-        run: leg_press::run,
-    },
-    Experiment {
-        name: "press",
-        about: "force error of the haptic path: a ball and a line pressed at 100 mm/s, the line then dragged",
-        takes: &[Model],
-        run: press::run,
-    },
-    Experiment {
-        name: "atc-none",
-        about: "two sites align a part without artificial time compensation (fig 7.26)",
-        takes: &[Seed, Seeds, Profile, Motion],
-        run: atc::none,
-    },
-    Experiment {
-        name: "atc-fixed",
-        about: "two sites align a part with the smallest safe fixed playout delay (fig 7.27)",
-        takes: &[Seed, Seeds, Profile, Motion],
-        run: atc::fixed,
-    },
-    Experiment {
-        name: "atc-adaptive",
-        about: "two sites align a part with an adaptive playout delay (fig 7.28)",
-        takes: &[Seed, Seeds, Profile, Motion],
-        run: atc::adaptive,
-    },
-    Experiment {
-        name: "atc-predicted",
-        about: "two sites align a part with server-side prediction instead of a delay",
-        takes: &[Seed, Seeds, Profile, Motion],
-        run: atc::predicted,
-    },
-    Experiment {
-        name: "transmission",
-        about: "delay of a motion from site to site, with and without compensation (fig 7.24)",
-        takes: &[Seed, Profile, Motion],
-        run: atc::transmission,
-    },
-    Experiment {
-        name: "jitter",
-        about: "jitter of a shown tool, with and without compensation (fig 7.25)",
-        takes: &[Seed, Profile, Motion],
-        run: atc::jitter,
-    },
-    Experiment {
-        name: "replicas",
-        about: "two trainees press and cut: error of their shapes and forces, over networks to 400 ms",
-        takes: &[Model, Seed, Seeds, Real, Profile],
-        run: replicas::run,
-    },
-    Experiment {
-        name: "thin",
-        about: "a spectator without tissue solver: error of the shown shape and bandwidth",
-        takes: &[Model, Seed, Profile],
-        run: thin::run,
-    },
-    Experiment {
-        name: "scale",
-        about: "server load of 1 to 64 participants, a quarter of them in contact",
-        takes: &[Model, Seed, Profile],
-        run: scale::run,
-    },
-    Experiment {
-        name: "table-7-1",
-        about: "error of reconstructed samples against the true hand motion (table 7.1)",
-        takes: &[Seed, Motion],
-        run: table_7_1::run,
-    },
-    Experiment {
-        name: "missing-data",
-        about: "one gap in a hand's motion, reconstructed by each method (fig 6.9)",
-        takes: &[Seed, Motion],
-        run: missing_data::run,
-    },
-];
+pub const ALL: &[Experiment] = experiments! {
+    "soft-hard", 1.0, [], Work::Experiment(soft_hard::run),
+        "a ball on soft tissue, on stiff tissue and between them (Lin 2007, fig 4.8)";
+    "friction", 6.3, [], Work::Experiment(friction::run),
+        "a ball and a line dragged over tissue: stick, slip and torque (figs 4.11 to 4.13)";
+    "handle", 4.6, [Model], Work::Experiment(handle::run),
+        "a soft grip around a hard core: force against depth for three materials (fig 7.4)";
+    "tool-paths", 164.0, [Model], Work::Experiment(tool_paths::run),
+        "one target point reached along four paths (fig 7.10)";
+    "leg-press", 11.5, [Model], Work::Experiment(leg_press::run),
+        "a leg with rigid bones pressed over muscle and over bone (fig 7.11)";
+    "press", 135.0, [Model], Work::Experiment(press::run),
+        "force error of the haptic path: a ball and a line pressed at 100 mm/s, the line then dragged";
+    "atc-none", 6.1, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::none),
+        "two sites align a part without artificial time compensation (fig 7.26)";
+    "atc-fixed", 6.4, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::fixed),
+        "two sites align a part with the smallest safe fixed playout delay (fig 7.27)";
+    "atc-adaptive", 7.1, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::adaptive),
+        "two sites align a part with an adaptive playout delay (fig 7.28)";
+    "atc-predicted", 7.7, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::predicted),
+        "two sites align a part with server-side prediction instead of a delay";
+    "transmission", 1.1, [Seed, Profile, Motion], Work::Experiment(atc::transmission),
+        "delay of a motion from site to site, with and without compensation (fig 7.24)";
+    "jitter", 1.3, [Seed, Profile, Motion], Work::Experiment(atc::jitter),
+        "jitter of a shown tool, with and without compensation (fig 7.25)";
+    "replicas", 185.0, [Model, Seed, Seeds, Real, Profile], Work::Experiment(replicas::run),
+        "two trainees press and cut: error of their shapes and forces, over networks to 400 ms";
+    "thin", 1.5, [Model, Seed, Profile], Work::Experiment(thin::run),
+        "a spectator without tissue solver: error of the shown shape and bandwidth";
+    "scale", 45.0, [Model, Seed, Profile], Work::Experiment(scale::run),
+        "server load of 1 to 64 participants, a quarter of them in contact";
+    "table-7-1", 3.5, [Seed, Motion], Work::Experiment(table_7_1::run),
+        "error of reconstructed samples against the true hand motion (table 7.1)";
+    "missing-data", 0.1, [Seed, Motion], Work::Experiment(missing_data::run),
+        "one gap in a hand's motion, reconstructed by each method (fig 6.9)";
+};
 
-/// The experiment with this name.
-pub fn named(name: &str) -> Option<Experiment> {
-    ALL.iter().find(|e| e.name == name).copied()
-}
+/// All benchmarks in page order.
+pub(super) const BENCHMARKS: &[Experiment] = experiments! {
+    "coding", 0.4, [], Work::Command("palpate-lab bench coding --round-trip-ms 50 --seed 1",
+        "A random hand of 87 mm/s rms in batches of four new 1 kHz samples, and a block that is pressed and \
+        released, at 60 frames per second and 0.05 mm. Deflate compresses the same integers, as differences \
+        from the acknowledged state, per datagram or frame. Raw uses four-byte numbers. Headers are included."),
+        "bits per pose and per node on the wire: this codec, deflate, raw";
+    "bytes", 69.0, [], Work::Command("palpate-lab bench bytes --model thigh --seconds 8 --profile metro --seed 1",
+        "Two full subscribers press and cut a thigh: kbit/s of each by purpose, over the length of their \
+        scripts. The column UDP is the total with QUIC overhead and must stay below the limit. The other \
+        columns include acknowledgements."),
+        "bandwidth of a session while pressing and cutting, by purpose, with QUIC overhead";
+    "haptic-tick", 2.6, [], Work::Command("palpate-lab bench haptic-tick --ticks 50000",
+        "Durations of a tick, by device and number of active contact points. One run on this machine: other \
+        load changes the rare long ticks."),
+        "duration of a tick of the 1 kHz loop: read, compute, write";
+    "press-cube", 1.1, [], Work::Command("palpate-lab bench press-cube --moving",
+        "A cube of side 0.1 m pressed by a disc, on one thread: from rest to 1 % displacement error and to \
+        convergence, then in ten steps of 0.1 mm."),
+        "solver time for a disc pressed into a cube of 8,000 nodes";
+    "haptic-faults", 12.0, [], Work::Command("palpate-lab haptic-faults --seeds 500",
+        "Faults during a press through the client's force loop, in virtual time. The force changes by at \
+        most the slew-rate limit per tick and is zero within 150 ms after the loss of its source."),
+        "injected faults during haptic contact: no fault may cause a force jump";
+};

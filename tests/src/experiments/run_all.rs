@@ -5,7 +5,6 @@
 use std::fmt::Write as _;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Args;
@@ -13,12 +12,11 @@ use palpate_protocol::PROTOCOL_VERSION;
 use palpate_tissue::write_file;
 use serde_json::{Value, json};
 
-use super::benches::BENCHMARKS;
-use super::command::{DIR, experiment, make_folder};
+use super::command::{DIR, experiment, find, make_folder};
 use super::gallery::{self, Origin, Part};
 use super::inputs::{Input, Inputs, SEED};
 use super::recipe::Recipe;
-use super::registry::{ALL, Experiment};
+use super::registry::{ALL, BENCHMARKS, Experiment, Work};
 use super::schedule::Schedule;
 use crate::cli::{note, print_line};
 use crate::progress::Progress;
@@ -46,13 +44,8 @@ pub struct AllArguments {
     json: bool,
 }
 
-/// The experiment or benchmark with this name.
 fn item(name: &str) -> Result<Experiment, String> {
-    let benchmarks = BENCHMARKS.iter().map(|(benchmark, _)| *benchmark);
-    match { benchmarks }.find(|b| b.name == name) {
-        Some(benchmark) => Ok(benchmark),
-        None => experiment(name),
-    }
+    find(name, BENCHMARKS).map_or_else(|| experiment(name), Ok)
 }
 
 impl AllArguments {
@@ -60,11 +53,9 @@ impl AllArguments {
         if !self.only.is_empty() {
             return self.only.clone();
         }
-        let benchmarks = BENCHMARKS.iter().map(|(benchmark, _)| *benchmark);
-        ALL.iter().copied().chain(benchmarks).collect()
+        [ALL, BENCHMARKS].concat()
     }
 
-    /// The common options that an experiment accepts.
     fn recipe(&self, experiment: Experiment) -> Recipe {
         let takes = |input| experiment.takes.contains(&input);
         Recipe {
@@ -75,10 +66,9 @@ impl AllArguments {
         }
     }
 
-    /// The command that repeats an item.
     fn command(&self, item: Experiment) -> String {
-        if let Some((_, command)) = BENCHMARKS.iter().find(|(b, _)| b.name == item.name) {
-            return (*command).to_owned();
+        if let Work::Command(line, _) = item.work {
+            return line.to_owned();
         }
         let recipe = self.recipe(item);
         let mut command = format!("palpate-lab run {}", item.name);
@@ -95,8 +85,7 @@ impl AllArguments {
     }
 }
 
-/// Runs all items and writes the page.
-pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
+pub fn all(arguments: &AllArguments) -> Result<bool, String> {
     let kept = tempfile::tempdir()
         .map_err(|e| format!("cannot create a temporary directory for models: {e}"))?;
     make_folder(&arguments.out)?;
@@ -111,7 +100,7 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
         planned: items.len(),
     };
     let mut progress = Progress::new();
-    let mut schedule = Schedule::new(items.iter().map(|item| item.name));
+    let mut schedule = Schedule::new(items.iter().map(|item| item.took_s).collect());
     let mut parts: Vec<Part> = Vec::new();
     for item in items {
         progress.stage(&format!(
@@ -134,8 +123,7 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
         let took_s = began.elapsed().as_secs_f64();
         schedule.done(took_s);
         let part = Part {
-            name: item.name.to_owned(),
-            about: item.about.to_owned(),
+            item,
             command: arguments.command(item),
             took_s,
             result,
@@ -145,22 +133,13 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
             print_line(&line(&part).to_string())?;
         }
         match &part.result {
-            Ok(outcome) => outcome.write(&arguments.out, &part.name)?,
-            Err(why) => progress.stage(&format!("{} failed: {why}", part.name)),
+            Ok(outcome) => outcome.write(&arguments.out, part.item.name)?,
+            Err(why) => progress.stage(&format!("{} failed: {why}", part.item.name)),
         }
         parts.push(part);
         // Written after each item, so partial results are readable.
-        std::fs::create_dir_all(&arguments.out)
-            .and_then(|()| {
-                let written = write_file(&page, gallery::page(&parts, &origin));
-                written.map_err(|e| e.source)
-            })
-            .map_err(|e| {
-                format!(
-                    "{}: {e}; check that the directory is writable and has free space",
-                    page.display()
-                )
-            })?;
+        make_folder(&arguments.out)?;
+        write_file(&page, gallery::page(&parts, &origin)).map_err(|e| e.to_string())?;
     }
     drop(progress);
     let short = |p: &&Part| p.result.as_ref().is_ok_and(|o| !o.missed().is_empty());
@@ -176,16 +155,15 @@ pub fn all(arguments: &AllArguments) -> Result<ExitCode, String> {
         .map(|(n, what)| format!("{n} {what}"))
         .collect();
     if said.is_empty() {
-        return Ok(ExitCode::SUCCESS);
+        return Ok(true);
     }
     note(&format!(
         "palpate-lab: {}; the page shows the reasons",
         said.join(", ")
     ));
-    Ok(ExitCode::FAILURE)
+    Ok(false)
 }
 
-/// One line of JSON output.
 fn line(part: &Part) -> Value {
     let (key, value, ok) = match &part.result {
         Ok(outcome) => (
@@ -195,7 +173,7 @@ fn line(part: &Part) -> Value {
         ),
         Err(why) => ("error", Value::from(why.clone()), false),
     };
-    json!({ "experiment": part.name, "ok": ok, "took_s": part.took_s, key: value })
+    json!({ "experiment": part.item.name, "ok": ok, "took_s": part.took_s, key: value })
 }
 
 fn machine() -> String {
@@ -207,7 +185,6 @@ fn machine() -> String {
     )
 }
 
-/// The message of a panic.
 fn panicked(fault: &(dyn std::any::Any + Send)) -> String {
     let words = (fault.downcast_ref::<String>().map(String::as_str))
         .or_else(|| fault.downcast_ref::<&str>().copied());

@@ -11,7 +11,6 @@ use crate::hand::Hand;
 /// Time span of the samples before a gap that a method may use, µs.
 pub(super) const HISTORY_US: i64 = 60_000;
 
-/// A hand motion with a sample rate.
 pub(super) struct Sampled<'a> {
     hand: &'a dyn Hand,
     pub(super) period_us: i64,
@@ -44,7 +43,6 @@ impl<'a> Sampled<'a> {
         Ok((2 * HISTORY_US, last))
     }
 
-    /// The true pose.
     pub(super) fn true_pose(&self, t_us: i64) -> Pose {
         self.hand.at(t_us as f64 * 1e-6)
     }
@@ -90,7 +88,6 @@ pub(super) fn method_line(method: Method, points: impl IntoIterator<Item = (f64,
     Line::new(method.name(), colour, points).dashed(dashed)
 }
 
-/// Distance of two positions, m.
 pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>()).sqrt()
 }

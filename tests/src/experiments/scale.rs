@@ -14,7 +14,6 @@ use crate::chart::{BLACK, BLUE, Chart, GREEN, GREY, Line, ORANGE, Panel};
 use crate::load_test::{LoadTest, LoadTestResult, real, touching};
 use crate::simulated_session::host::Round;
 
-/// Numbers of participants.
 const PARTICIPANTS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
 
 /// Numbers of participants with a server process: the required number, and the maximum number of seats.
@@ -22,8 +21,6 @@ const REAL: [usize; 2] = [32, 64];
 
 /// Number of participants whose ticks must fit the period.
 const ASKED: usize = 32;
-
-/// Measured time, s.
 const SECONDS: f64 = 5.0;
 
 /// Minimum delay of a late tick's start, ms: one step of virtual time, a thirtieth of the period.
@@ -127,10 +124,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             "ok": missed.is_empty(),
             "missed": missed,
         }),
+        ..Outcome::default()
     })
 }
 
-/// The missed limits of the required row.
 fn missed(row: &Value) -> Vec<String> {
     let (p99, period) = (
         number(row, &["tick_ms", "p99"]),

@@ -39,7 +39,6 @@ fn tissue() -> Result<Arc<Model>, String> {
     Ok(without_friction(&model))
 }
 
-/// A vertical press with a rest and a release.
 fn press_at(share: f64) -> Vec<Waypoint> {
     let [x, y, z] = [0, 1, 2].map(|i| CELLS[i] as f64 * SPACING_M);
     let top = Vec3::new(share * x, 0.5 * y, z + RADIUS_M);
@@ -85,6 +84,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         }),
         charts: vec![("soft-hard".to_owned(), chart)],
         tables: cases.tables,
+        ..Outcome::default()
     })
 }
 

@@ -5,7 +5,6 @@
 
 use serde_json::{Value, json};
 
-/// Maximum number of displayed list elements.
 const LIST_MAX: usize = 16;
 
 /// Significant digits of a column's largest number or a single number, and minimum for the column's
@@ -19,10 +18,8 @@ const MORE_MAX: i32 = 3;
 /// A column of a table of JSON objects: heading, path of the figure such as `tick_ms.p99`, and factor of its unit.
 pub(super) type Column = (&'static str, &'static str, f64);
 
-/// A table with a heading.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Table {
-    /// Names of the columns.
     pub head: Vec<String>,
     /// Cells of each row, with all digits.
     pub rows: Vec<Vec<String>>,
@@ -55,7 +52,6 @@ impl Table {
         }
     }
 
-    /// The text of a CSV file.
     pub fn to_csv(&self) -> String {
         let mut writer = csv::Writer::from_writer(Vec::new());
         for row in std::iter::once(&self.head).chain(&self.rows) {
@@ -90,17 +86,6 @@ impl Table {
     }
 }
 
-/// A figure with all digits; [`aligned`] shortens whole columns.
-pub(super) fn whole(value: &Value) -> String {
-    match value {
-        Value::Null => "–".to_owned(),
-        Value::String(word) => word.clone(),
-        Value::Array(_) => alone(value),
-        other => other.to_string(),
-    }
-}
-
-/// A single figure, outside a column.
 pub(super) fn alone(value: &Value) -> String {
     match value {
         Value::Number(n) if n.is_f64() => n.as_f64().map_or(String::new(), number),
@@ -112,7 +97,9 @@ pub(super) fn alone(value: &Value) -> String {
             }
             cells.join(", ")
         }
-        other => whole(other),
+        Value::Null => "–".to_owned(),
+        Value::String(word) => word.clone(),
+        other => other.to_string(),
     }
 }
 

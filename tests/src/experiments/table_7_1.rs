@@ -26,22 +26,14 @@ use super::{Bench, Outcome, Table};
 use crate::chart::{Chart, Line, Panel};
 use crate::hand::Hand;
 
-/// Lengths of the gaps, ms.
 const GAPS_MS: [i64; 6] = [5, 10, 20, 33, 50, 100];
-
-/// Sample rates.
 const RATES_HZ: [u32; 4] = [100, 250, 500, 1000];
-
-/// Number of gaps per length and rate.
 const GAPS: usize = 300;
-
-/// Time step of the comparison, µs.
 const STEP_US: i64 = 500;
 
 /// Maximum evaluated length of a motion, µs.
 const LONGEST_US: i64 = 300_000_000;
 
-/// A row of the table.
 #[derive(Debug, Clone, Copy)]
 struct Row {
     interpolation: bool,
@@ -73,7 +65,6 @@ impl Row {
     }
 }
 
-/// Error sums of one row.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sum {
     squares: f64,
@@ -114,7 +105,6 @@ impl Sum {
     }
 }
 
-/// Surface plane of the tissue and speed of the hand.
 #[derive(Debug, Clone, Copy)]
 struct Overall {
     axis: usize,
@@ -178,6 +168,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             ("table-7-1-by-gap".to_owned(), by_gap(&rows)),
             ("table-7-1".to_owned(), Table::of_objects(&listed, COLUMNS)),
         ],
+        ..Outcome::default()
     })
 }
 
@@ -216,7 +207,6 @@ fn by_gap(rows: &[Row]) -> Table {
     table
 }
 
-/// All rows of the table.
 fn rows(
     hand: &dyn Hand,
     seed: u64,
@@ -243,7 +233,6 @@ fn rows(
     Ok((rows, overall))
 }
 
-/// Error sums of each method, for extrapolation and for interpolation.
 fn sums(
     sampled: &Sampled<'_>,
     overall: Overall,
@@ -291,7 +280,6 @@ fn sums(
     Ok(sums)
 }
 
-/// Error against the gap length, for the lowest and the highest sample rate.
 fn chart(rows: &[Row]) -> Chart {
     let panel = |interpolation: bool, rate_hz: u32| {
         let lines = Method::ALL.into_iter().map(|method| {

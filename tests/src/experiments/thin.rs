@@ -4,7 +4,6 @@
 //! One [session](crate::simulated_session) is simulated per network. Distances are measured at every view, from the
 //! server's shape at the shown time, over all displaced surface nodes.
 
-use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use serde_json::json;
 
 use super::replicas::SMALL_BLOCK;
@@ -12,23 +11,16 @@ use super::table::Column;
 use super::{Bench, Outcome, Table, missed_by};
 use crate::network::Profile;
 use crate::scripts::Scripts;
-use crate::simulated_session::{SessionResult, SimulatedSession, ThinSpectatorResult};
+use crate::simulated_session::{SessionResult, SimulatedSession, ThinSpectatorResult, adaptive};
 
-/// Length of the session's scripts, s.
 const SECONDS: f64 = 6.0;
-
-/// Server ticks per second.
 const TICK_HZ: u32 = 60;
-
-/// Maximum playout delay, µs.
 const CAP_US: u32 = 500_000;
 
 /// Limit of the rate in any second, bit/s, with 5 % for accumulated rate budget.
 const RATE_MAX: f64 = 1.05e6;
 /// Limit of the distance at rest, mm, with a margin for single precision.
 const REST_MM: f64 = 0.0501;
-
-/// Default networks.
 const NETWORKS: [&str; 4] = ["lan", "transatlantic", "intercontinental", "wifi-bursts"];
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
@@ -51,10 +43,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             thin_spectator_count: 1,
             profile,
             seed: bench.seed(),
-            compensation: CompensationSettings {
-                mode: CompensationMode::Adaptive { cap_us: CAP_US },
-                initial_delay_us: 100_000,
-            },
+            compensation: adaptive(100_000, CAP_US),
             tick_hz: TICK_HZ,
         };
         let all = networks.len() as f64;
@@ -93,12 +82,11 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             model.nodes.len()
         ),
         figures,
-        charts: Vec::new(),
         tables: vec![("thin".to_owned(), table)],
+        ..Outcome::default()
     })
 }
 
-/// Descriptions of the missed limits over a network.
 fn missed(profile: &Profile, thin: &ThinSpectatorResult, done: &SessionResult) -> Vec<String> {
     let (rate, rest_mm) = (thin.bits_per_s_max, thin.rest_mm.max);
     let mut missed = Vec::new();

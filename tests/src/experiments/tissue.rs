@@ -12,12 +12,10 @@ use crate::chart::{GREY, Line, Panel};
 use crate::scenario::{Point, Scenario, ScenarioResult, Solution};
 use crate::tool_location::ToolLocation;
 
-/// The model without friction.
 pub(super) fn without_friction(model: &Model) -> Arc<Model> {
     with_friction(model, [0.0; 2])
 }
 
-/// The model with uniform friction coefficients, static and dynamic.
 pub(super) fn with_friction(model: &Model, [stick, slide]: [f64; 2]) -> Arc<Model> {
     let mut model = model.clone();
     for region in &mut model.regions {
@@ -27,9 +25,8 @@ pub(super) fn with_friction(model: &Model, [stick, slide]: [f64; 2]) -> Arc<Mode
     Arc::new(model)
 }
 
-/// A location to press in the middle of the model.
 pub(super) fn location(model: &Arc<Model>) -> Result<ToolLocation, String> {
-    ToolLocation::find(&Topology::new(Arc::clone(model))).map_err(|e| e.to_string())
+    ToolLocation::find(&Topology::new(Arc::clone(model)))
 }
 
 /// A straight press from `gap_m` above the contact at `top` to a depth along `normal`.
@@ -49,7 +46,6 @@ pub(super) fn straight(
 }
 
 impl Bench<'_> {
-    /// Leads a tool along a path and reports the progress.
     pub(super) fn simulate(
         &mut self,
         name: &str,
@@ -62,7 +58,6 @@ impl Bench<'_> {
     }
 }
 
-/// Lines, figures and tables of the cases of an experiment.
 #[derive(Default)]
 pub(super) struct Cases {
     pub(super) lines: Vec<Line>,

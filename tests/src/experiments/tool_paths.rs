@@ -14,9 +14,7 @@ const RADIUS_M: f64 = 8e-3;
 const DEPTH_M: f64 = 12e-3;
 /// Lateral offset of the paths' start, and length of the sweep.
 const ASIDE_M: f64 = 12e-3;
-/// Duration of a path, s.
 const TAKES_S: f64 = 0.4;
-/// Waypoints of a curve.
 const POINTS: usize = 40;
 
 /// A path as depth and offset along u, in units of the target depth and of [`ASIDE_M`], against relative
@@ -103,5 +101,6 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             Chart::new(title, "time (s)", panels),
         )],
         tables: cases.tables,
+        ..Outcome::default()
     })
 }

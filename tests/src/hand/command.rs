@@ -1,7 +1,6 @@
 //! `palpate-lab hand`.
 
 use std::fmt::Write as _;
-use std::process::ExitCode;
 
 use clap::Args;
 
@@ -11,7 +10,6 @@ use crate::cli::print_line;
 /// Maximum rows of a table, three hours at 1 kHz: the limit of the reader.
 const ROWS_MAX: f64 = 1.1e7;
 
-/// Text at the end of `palpate-lab hand --help`.
 pub(crate) const HELP: &str = "\
 Examples:
   palpate-lab hand --seed 7 --seconds 20 > hand.csv
@@ -40,10 +38,9 @@ pub(crate) struct Arguments {
     tremor_mm: f64,
 }
 
-/// Writes the motion.
-pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
+pub(crate) fn run(arguments: &Arguments) -> Result<bool, String> {
     print_line(table(arguments)?.trim_end())?;
-    Ok(ExitCode::SUCCESS)
+    Ok(true)
 }
 
 fn between(name: &str, x: f64, (low, high): (f64, f64)) -> Result<f64, String> {

@@ -4,38 +4,21 @@
 //! | --- | --- |
 //! | [`Motion`] | a recorded hand, from a table or a recording of a session |
 //! | [`Random`] | band-limited, with tremor, from a seed |
-//! | [`Script`] | way points, as the demo and the experiments use them |
 
 pub(crate) mod command;
 mod random;
 
-use palpate_device::Script;
 use palpate_device::backend::replay::Motion;
 use palpate_protocol::Pose;
 
 pub use random::{HandParameters, Random};
 
-/// A motion that is known at every moment.
 pub trait Hand: Send + Sync {
     /// Pose `t_s` seconds after the start of the motion; constant before the start and after the end.
     fn at(&self, t_s: f64) -> Pose;
 
     /// Length, s; infinite for an endless motion.
     fn length_s(&self) -> f64;
-}
-
-impl Hand for Script {
-    fn at(&self, t_s: f64) -> Pose {
-        pose(&Script::pose(self, t_s).pose)
-    }
-
-    fn length_s(&self) -> f64 {
-        if self.repeats() {
-            f64::INFINITY
-        } else {
-            self.end_s()
-        }
-    }
 }
 
 impl Hand for Motion {
@@ -50,7 +33,6 @@ impl Hand for Motion {
     }
 }
 
-/// Converts a device pose to a wire pose.
 fn pose(pose: &palpate_device::Pose) -> Pose {
     let q = pose.orientation;
     Pose {

@@ -23,14 +23,11 @@ const SLOW_HZ: (f64, f64) = (0.2, 1.6);
 
 /// Band of physiological tremor, Hz.
 const TREMOR_HZ: (f64, f64) = (8.0, 12.0);
-
-/// Sines of the slow part per axis.
 const SLOW: usize = 6;
 
 /// Sines of the tremor per axis: enough for a varying amplitude.
 const TREMOR: usize = 3;
 
-/// Parameters of a random hand.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HandParameters {
     /// Rms speed of the slow part, m/s.
@@ -72,7 +69,6 @@ pub struct Random {
 }
 
 impl Random {
-    /// The hand with these parameters and this seed.
     pub fn new(parameters: HandParameters, seed: u64) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed);
         // Positions first, so that they do not depend on the rotation.

@@ -2,12 +2,12 @@
 
 use std::fmt;
 
+use clap::ValueEnum;
 use rand::RngExt;
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
-/// Class of a fault.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Class {
     /// The solver delivers no contact model for a while.
@@ -20,39 +20,21 @@ pub enum Class {
     BadPoses,
     /// The device is unplugged in contact and plugged in again.
     Unplugged,
-    /// The device rejects writes.
     Refused,
     /// The device renders less force than commanded.
     Clamped,
-    /// The process is stopped and continued.
     Stopped,
-    /// The machine clock jumps forward.
     ClockAhead,
-    /// The machine clock jumps back.
     ClockBack,
     /// Two to four of the other classes at once.
     Several,
 }
 
 impl Class {
-    /// All of them.
-    pub const ALL: [Self; 11] = [
-        Self::SolverStall,
-        Self::LinkLost,
-        Self::BadModels,
-        Self::BadPoses,
-        Self::Unplugged,
-        Self::Refused,
-        Self::Clamped,
-        Self::Stopped,
-        Self::ClockAhead,
-        Self::ClockBack,
-        Self::Several,
-    ];
-
     /// The class of a seed: seeds cycle through the classes.
     pub fn of_seed(seed: u64) -> Self {
-        Self::ALL[(seed % Self::ALL.len() as u64) as usize]
+        let all = Self::value_variants();
+        all[(seed % all.len() as u64) as usize]
     }
 }
 
@@ -63,109 +45,60 @@ impl fmt::Display for Class {
     }
 }
 
-/// Defect of a contact model.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum BadModel {
-    /// NaN force.
     ForceNan,
-    /// Infinite stiffness.
     StiffnessInfinite,
-    /// Zero normal.
     NormalZero,
     /// Force of the largest finite number.
     ForceMax,
     /// Force a thousand times too large, but of a plausible magnitude.
     ForceThousandfold,
-    /// Random normal.
     NormalAnywhere,
-    /// Time stamp one hour ahead.
     FromTheFuture,
     /// External work that no other participant has done.
     WorkOfOthers,
 }
 
-impl BadModel {
-    const ALL: [Self; 8] = [
-        Self::ForceNan,
-        Self::StiffnessInfinite,
-        Self::NormalZero,
-        Self::ForceMax,
-        Self::ForceThousandfold,
-        Self::NormalAnywhere,
-        Self::FromTheFuture,
-        Self::WorkOfOthers,
-    ];
-}
-
-/// Defect of a pose.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum BadPose {
-    /// NaN position.
     PositionNan,
-    /// Infinite velocity.
     VelocityInfinite,
-    /// Position as far as the moon.
     FarAway,
-    /// NaN rotation.
     TurnNan,
 }
 
-impl BadPose {
-    const ALL: [Self; 4] = [
-        Self::PositionNan,
-        Self::VelocityInfinite,
-        Self::FarAway,
-        Self::TurnNan,
-    ];
-}
-
-/// A fault with its parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FaultKind {
-    /// See [`Class::SolverStall`].
     SolverStall,
-    /// See [`Class::LinkLost`].
     LinkLost,
     /// See [`Class::BadModels`]; every `every`-th model.
     BadModels {
-        /// Defect.
         how: BadModel,
-        /// 1 for all.
         every: u32,
     },
-    /// See [`Class::BadPoses`]; every `every`-th pose.
     BadPoses {
-        /// Defect.
         how: BadPose,
-        /// 1 for all.
         every: u32,
     },
-    /// See [`Class::Unplugged`].
     Unplugged {
         /// Whether its motors are off after plugging in, until they are enabled.
         forgets: bool,
     },
-    /// See [`Class::Refused`]; every `every`-th write.
     Refused {
-        /// 1 for all.
         every: u32,
     },
-    /// See [`Class::Clamped`].
     Clamped {
-        /// Force limit, N.
         to_n: f64,
     },
-    /// See [`Class::Stopped`].
     Stopped,
     /// The clock jumps by `by_us` µs; negative values put it back.
     Clock {
-        /// Jump, µs.
         by_us: i64,
     },
 }
 
 impl FaultKind {
-    /// Its class.
     pub fn class(self) -> Class {
         match self {
             Self::SolverStall => Class::SolverStall,
@@ -182,14 +115,11 @@ impl FaultKind {
     }
 }
 
-/// A fault and its interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fault {
-    /// The fault.
     pub what: FaultKind,
     /// Begin, µs of the run.
     pub from_us: i64,
-    /// End, µs of the run.
     pub until_us: i64,
 }
 
@@ -217,6 +147,11 @@ impl Fault {
     }
 }
 
+fn any<T: ValueEnum>(rng: &mut Pcg64) -> T {
+    let all = T::value_variants();
+    all[rng.random_range(0..all.len())].clone()
+}
+
 fn what(class: Class, rng: &mut Pcg64) -> FaultKind {
     let every = if rng.random_bool(0.6) {
         1
@@ -227,11 +162,11 @@ fn what(class: Class, rng: &mut Pcg64) -> FaultKind {
         Class::SolverStall | Class::Several => FaultKind::SolverStall,
         Class::LinkLost => FaultKind::LinkLost,
         Class::BadModels => FaultKind::BadModels {
-            how: BadModel::ALL[rng.random_range(0..BadModel::ALL.len())],
+            how: any(rng),
             every,
         },
         Class::BadPoses => FaultKind::BadPoses {
-            how: BadPose::ALL[rng.random_range(0..BadPose::ALL.len())],
+            how: any(rng),
             every,
         },
         Class::Unplugged => FaultKind::Unplugged {

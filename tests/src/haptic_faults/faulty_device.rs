@@ -18,13 +18,11 @@ const GONE: Rejection = Rejection::Driver { code: -1 };
 /// Watchdog of the device: it drops the force without writes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DeviceWatchdog {
-    /// Timeout, µs.
     pub after_us: i64,
     /// Whether the motors stay off until they are enabled.
     pub turns_off: bool,
 }
 
-/// Behaviour of a device and its driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Driver {
     /// Whether forces ramp up over 100 ms after enabling, or at once.
@@ -35,10 +33,8 @@ pub struct Driver {
     pub watchdog: Option<DeviceWatchdog>,
 }
 
-/// Effect of a write.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Write {
-    /// Commanded wrench.
     pub commanded: Wrench,
     /// Rendered wrench right before the write.
     pub before: Wrench,
@@ -50,39 +46,29 @@ pub struct Write {
     pub is_on: bool,
 }
 
-/// Events at the device.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Log {
     /// The last write; the oracle takes it.
     pub write: Option<Write>,
-    /// Failed readings.
     pub unread: u64,
-    /// Readings with non-finite numbers.
     pub bad_poses: u64,
     /// Writes rejected while the forces were on.
     pub refused: u64,
-    /// Clamped writes.
     pub clamped: u64,
     /// Force that the device dropped by itself since the last check, N.
     pub cut_n: f64,
-    /// Non-finite writes.
     pub nan_written: u64,
-    /// Calls with a decreasing time stamp.
     pub times_back: u64,
 }
 
-/// Interface between a run and its device.
 #[derive(Debug, Clone, Default)]
 pub struct DeviceState {
     /// Run time, µs.
     pub now_us: i64,
-    /// Active faults.
     pub faults: Vec<FaultKind>,
-    /// Recorded events.
     pub log: Log,
 }
 
-/// Handle of the run to its device.
 #[derive(Debug, Clone, Default)]
 pub struct DeviceHandle(Arc<Mutex<DeviceState>>);
 
@@ -93,7 +79,6 @@ impl DeviceHandle {
     }
 }
 
-/// The device.
 pub struct FaultyDevice {
     hand: SimHand,
     driver: Driver,
@@ -110,12 +95,10 @@ pub struct FaultyDevice {
     jerk: Option<Jerk>,
 }
 
-/// Fault injection for tests of the oracle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Jerk {
     /// Index of the write.
     pub write: u32,
-    /// Added force, N.
     pub by_n: f64,
 }
 

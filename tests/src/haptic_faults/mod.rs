@@ -44,29 +44,19 @@ use outcome::Outcome;
 use plan::Plan;
 use run::{Run, Setup, check_return, simulate};
 
-/// Capabilities of a desktop device.
 fn desktop() -> Result<DeviceCaps, ScriptError> {
     let script = Script::resting_probe(Vector3::zeros(), 4e-3)?;
     Ok(SimHand::new(script, ScriptStart::not_yet()).caps().clone())
 }
 
-/// The plan of a seed, and its runs with and without faults.
 #[derive(Debug, Clone)]
 pub struct SeedResult {
-    /// The plan.
     pub plan: Plan,
-    /// The run with faults.
     pub faulty: Run,
-    /// The run of the same hand, tissue and device without faults.
     pub fault_free: Run,
 }
 
 impl SeedResult {
-    /// Runs a seed.
-    ///
-    /// # Errors
-    ///
-    /// If the script of the seed is invalid.
     pub fn of(seed: u64, setup: &Setup) -> Result<Self, ScriptError> {
         let plan = Plan::of(seed, &desktop()?)?;
         let mut faulty = simulate(&plan, setup);
@@ -83,10 +73,6 @@ impl SeedResult {
 }
 
 /// Runs `seeds` and reports progress; ends early when `report_progress` returns `false`.
-///
-/// # Errors
-///
-/// If the script of a seed is invalid.
 pub fn all(
     seeds: std::ops::Range<u64>,
     setup: &Setup,

@@ -8,7 +8,6 @@ use serde::Serialize;
 
 use super::faulty_device::Write;
 
-/// Relative tolerance for rounding.
 const ROUNDING: f64 = 1.0 + 1e-9;
 
 /// Forces below this count as zero, N.
@@ -16,31 +15,19 @@ const ZERO_N: f64 = 1e-9;
 
 /// Maximum time from the loss of the source to zero force, µs.
 pub(super) const ZERO_WITHIN_US: i64 = 150_000;
-
-/// Maximum number of recorded violations per run.
 const KEPT_MAX: usize = 8;
 
-/// Laws that hold under any fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Law {
-    /// A write changes the force at the device by at most the slew limit.
     WrittenStep,
-    /// The rendered force changes by at most the slew limit, except by the device itself.
     RenderedStep,
-    /// The force is zero within 150 ms of the loss of its source.
     ZeroInTime,
-    /// No non-finite number is written.
     FiniteWrites,
-    /// The force stays within the limit.
     ForceLimit,
-    /// Time stamps passed to the device do not decrease.
     TimeGoesOn,
-    /// Every fault is counted.
     Counted,
-    /// The force returns after the fault.
     ComesBack,
-    /// A stop request removes the force and ends the loop.
     Ends,
 }
 
@@ -60,30 +47,22 @@ impl fmt::Display for Law {
     }
 }
 
-/// A broken law.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Broken {
-    /// The law.
     pub law: Law,
-    /// Time, ms of the run.
     pub at_ms: f64,
-    /// Details.
     pub detail: String,
 }
 
-/// Limits of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
     /// Largest change of force per tick, N.
     pub step_n: f64,
-    /// Largest change of torque per tick, N·m.
     pub step_nm: f64,
-    /// Largest force, N.
     pub force_n: f64,
 }
 
 impl Bounds {
-    /// The limits that a chain guarantees.
     pub fn of(chain: &Chain) -> Self {
         Self {
             step_n: chain.slew_step_n(),
@@ -99,14 +78,11 @@ impl Bounds {
     }
 }
 
-/// Observation of one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
-    /// Run time, µs.
     pub at_us: i64,
     /// Run time without stops of the process, µs.
     pub running_us: i64,
-    /// The write.
     pub write: Write,
     /// Force that the device dropped by itself since the last write, N.
     pub cut_n: f64,
@@ -114,7 +90,6 @@ pub struct Observation {
     pub lost_since_us: Option<i64>,
 }
 
-/// An interval without a source.
 #[derive(Debug, Clone, Copy)]
 struct Loss {
     since_us: i64,
@@ -122,7 +97,6 @@ struct Loss {
     is_felt: bool,
 }
 
-/// The oracle of a run.
 #[derive(Debug, Clone)]
 pub struct Oracle {
     bounds: Bounds,
@@ -132,12 +106,10 @@ pub struct Oracle {
     pub max_delta_n: f64,
     /// Times from a loss of the source to zero force, ms.
     pub to_zero_ms: Vec<f64>,
-    /// The first broken laws.
     pub broken: Vec<Broken>,
 }
 
 impl Oracle {
-    /// An oracle without observations.
     pub fn new(bounds: Bounds) -> Self {
         Self {
             bounds,
@@ -149,7 +121,6 @@ impl Oracle {
         }
     }
 
-    /// Records a broken law.
     pub fn report(&mut self, law: Law, at_us: i64, detail: String) {
         if self.broken.len() < KEPT_MAX {
             self.broken.push(Broken {

@@ -8,28 +8,38 @@ use serde::Serialize;
 use super::SeedResult;
 use super::fault::Class;
 use super::oracle::Broken;
+use super::run::Run;
 use crate::bench::quantile_of_sorted;
 
-/// Maximum number of listed failures.
 const LISTED_MAX: usize = 12;
 
-/// A run that broke a law.
+/// Name in JSON, name in the text, and the count of a run.
+type Counter = (&'static str, &'static str, fn(&Run) -> u64);
+
+/// Counters that are summed.
+const COUNTED: [Counter; 10] = [
+    ("stale", "stale", |r| r.counters.stale),
+    ("link_lost", "link lost", |r| r.counters.link_lost),
+    ("bad_models", "bad models", |r| r.counters.bad_models),
+    ("bad_samples", "bad samples", |r| r.counters.bad_samples),
+    ("unread", "unread", |r| r.device.faults),
+    ("refused", "refused", |r| r.device.rejected),
+    ("clamped", "clamped", |r| r.device.saturated),
+    ("cuts", "cuts", |r| r.device.cuts),
+    ("missed", "missed", |r| r.missed),
+    ("put_back", "clock back", |r| r.device.clock_put_back),
+];
+
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Failure {
-    /// Seed that replays it.
     pub seed: u64,
-    /// Class of its faults.
     pub class: Class,
-    /// Its first broken laws.
     pub broken: Vec<Broken>,
 }
 
-/// The runs of one class.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ClassOutcome {
-    /// Number of runs.
     pub runs: u64,
-    /// Runs that broke a law.
     pub failed: u64,
     /// Largest change of force per tick as a share of its limit; 1 is the limit.
     pub step_share_max: f64,
@@ -39,51 +49,27 @@ pub struct ClassOutcome {
     pub losses: u64,
     /// Longest time from the loss of a source to zero force, ms.
     pub to_zero_max_ms: f64,
-    /// 99th percentile of it, ms.
     pub to_zero_p99_ms: f64,
     /// Smallest share of the fault-free force that returned, at most 1.
     pub back_min: f64,
-    /// Ticks with a stale model.
-    pub stale: u64,
-    /// Ticks without a link.
-    pub link_lost: u64,
-    /// Rejected models.
-    pub bad_models: u64,
-    /// Rejected samples.
-    pub bad_samples: u64,
-    /// Failed readings.
-    pub unread: u64,
-    /// Writes that the device rejected.
-    pub refused: u64,
-    /// Writes that the device clamped.
-    pub clamped: u64,
-    /// Force drops by the device itself.
-    pub cuts: u64,
-    /// Skipped deadlines.
-    pub missed: u64,
-    /// Backward jumps of the clock.
-    pub put_back: u64,
+    /// Counters of the chain and the loop, by name.
+    #[serde(flatten)]
+    pub counts: BTreeMap<&'static str, u64>,
     #[serde(skip)]
     to_zero_ms: Vec<f64>,
 }
 
-/// All runs.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Outcome {
-    /// Number of runs.
     pub runs: u64,
-    /// Whether no law was broken.
     pub ok: bool,
     /// Longest time from the stop request to zero force, ms.
     pub stop_max_ms: f64,
-    /// Results per class.
     pub classes: BTreeMap<Class, ClassOutcome>,
-    /// The first runs that broke a law.
     pub failures: Vec<Failure>,
 }
 
 impl Outcome {
-    /// Adds a run.
     pub fn take(&mut self, result: &SeedResult) {
         self.runs += 1;
         let (run, class) = (&result.faulty, result.plan.class);
@@ -98,20 +84,8 @@ impl Outcome {
         row.step_share_max = row.step_share_max.max(run.max_delta_n / run.step_n);
         row.step_max_n = row.step_max_n.max(run.max_delta_n);
         row.to_zero_ms.extend(&run.to_zero_ms);
-        let (c, d) = (&run.counters, &run.device);
-        for (sum, n) in [
-            (&mut row.stale, c.stale),
-            (&mut row.link_lost, c.link_lost),
-            (&mut row.bad_models, c.bad_models),
-            (&mut row.bad_samples, c.bad_samples),
-            (&mut row.unread, d.faults),
-            (&mut row.refused, d.rejected),
-            (&mut row.clamped, d.saturated),
-            (&mut row.cuts, d.cuts),
-            (&mut row.missed, run.missed),
-            (&mut row.put_back, d.clock_put_back),
-        ] {
-            *sum += n;
+        for (name, _, of) in COUNTED {
+            *row.counts.entry(name).or_default() += of(run);
         }
         if !run.broken.is_empty() {
             row.failed += 1;
@@ -125,7 +99,6 @@ impl Outcome {
         }
     }
 
-    /// Number of runs that broke a law.
     pub fn failed(&self) -> u64 {
         self.classes.values().map(|row| row.failed).sum()
     }
@@ -144,21 +117,9 @@ impl Outcome {
 }
 
 impl ClassOutcome {
-    /// Nonzero counters of the chain and the loop.
     fn counted(&self) -> String {
-        let all = [
-            ("stale", self.stale),
-            ("link lost", self.link_lost),
-            ("bad models", self.bad_models),
-            ("bad samples", self.bad_samples),
-            ("unread", self.unread),
-            ("refused", self.refused),
-            ("clamped", self.clamped),
-            ("cuts", self.cuts),
-            ("missed", self.missed),
-            ("clock back", self.put_back),
-        ];
-        let there = all.into_iter().filter(|(_, n)| *n > 0);
+        let there = COUNTED.map(|(name, what, _)| (what, self.counts[name]));
+        let there = there.into_iter().filter(|(_, n)| *n > 0);
         let words: Vec<String> = there.map(|(what, n)| format!("{what} {n}")).collect();
         words.join(", ")
     }

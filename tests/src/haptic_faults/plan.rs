@@ -1,5 +1,6 @@
 //! The run of a seed: hand, tissue, device and faults.
 
+use clap::ValueEnum;
 use nalgebra::{Unit, Vector3};
 use palpate_client::realtime::ENABLE_EVERY;
 use palpate_device::script::{Hand, Tool, Waypoint};
@@ -13,8 +14,6 @@ use super::tissue::Tissue;
 
 /// Tissue stiffnesses, N/m: fat, muscle, cartilage, bone.
 const STIFFNESSES: [f64; 5] = [200.0, 600.0, 1500.0, 5000.0, 20_000.0];
-
-/// Maximum speed of a tool, m/s.
 const SPEED_MAX: f64 = 0.5;
 
 /// Time from the last fault to the check of the returned force, µs: it covers the soft start.
@@ -26,37 +25,24 @@ const SWITCHED_ON_US: i64 = RECOVERY_US + ENABLE_EVERY.as_micros();
 /// Length of the recovery window, µs: two presses.
 const LOOK_US: i64 = 1_000_000;
 
-/// A run, as a function of its seed.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// The seed.
     pub seed: u64,
-    /// Class of the faults.
     pub class: Class,
     /// The faults, ordered by begin.
     pub faults: Vec<Fault>,
-    /// Path of the hand.
     pub script: Script,
-    /// The tissue.
     pub tissue: Tissue,
-    /// Behaviour of the driver.
     pub driver: Driver,
-    /// Capabilities of the device.
     pub caps: DeviceCaps,
     /// End of the last fault, µs of the run.
     pub over_us: i64,
     /// Time at which the force must have returned, µs of the run.
     pub back_us: i64,
-    /// Length of the run, µs.
     pub length_us: i64,
 }
 
 impl Plan {
-    /// The plan of a seed.
-    ///
-    /// # Errors
-    ///
-    /// If the path of the hand is not a valid script.
     pub fn of(seed: u64, caps: &DeviceCaps) -> Result<Self, ScriptError> {
         let mut rng = Pcg64::seed_from_u64(seed);
         let class = Class::of_seed(seed);
@@ -94,7 +80,6 @@ impl Plan {
         })
     }
 
-    /// The same plan without faults.
     #[must_use]
     pub fn without_faults(&self) -> Self {
         Self {
@@ -110,9 +95,10 @@ fn faults(class: Class, rng: &mut Pcg64) -> Vec<Fault> {
     if class != Class::Several {
         return vec![Fault::random(class, from_us, rng)];
     }
+    let classes = Class::value_variants();
     let mut faults: Vec<Fault> = (0..rng.random_range(2..=4))
         .map(|_| {
-            let class = Class::ALL[rng.random_range(0..Class::ALL.len() - 1)];
+            let class = classes[rng.random_range(0..classes.len() - 1)];
             let from_us = from_us + rng.random_range(0..300_000);
             Fault::random(class, from_us, rng)
         })

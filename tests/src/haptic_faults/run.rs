@@ -37,39 +37,29 @@ const WORTH_N: f64 = 0.5;
 /// Variations of a run, for tests of the oracle.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Setup {
-    /// Constants of the chain.
     pub chain: ChainConfig,
     /// Share of the slew limit that the oracle allows; `None`: all of it.
     pub step_share: Option<f64>,
-    /// Fault injection: a device that jerks.
     pub jerk: Option<Jerk>,
-    /// Whether every tick is kept.
     pub keep: bool,
 }
 
-/// A recorded tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
-    /// Run time, s.
     pub t_s: f64,
-    /// Commanded force, N.
     pub commanded_n: f64,
-    /// Rendered force, N.
     pub rendered_n: f64,
     /// Force change since the last tick, without that of the device itself, N.
     pub changed_n: f64,
     /// Height of the tool above the surface, mm; negative in contact.
     pub above_mm: f64,
-    /// Events of the tick.
     pub events: Events,
 }
 
-/// Result of a run.
 #[derive(Debug, Clone)]
 pub struct Run {
     /// The largest change per tick that is allowed, N.
     pub step_n: f64,
-    /// Largest change per tick, N.
     pub max_delta_n: f64,
     /// Times from a loss of the source to zero force, ms.
     pub to_zero_ms: Vec<f64>,
@@ -79,13 +69,9 @@ pub struct Run {
     pub force_after_n: f64,
     /// Counters of the chain up to the recovery window.
     pub counters: Counters,
-    /// Counters of the loop.
     pub device: DeviceCounts,
-    /// Deadlines that were skipped.
     pub missed: u64,
-    /// Broken laws.
     pub broken: Vec<Broken>,
-    /// The ticks, if recorded.
     pub points: Vec<Point>,
 }
 
@@ -100,7 +86,6 @@ struct Expected {
     skips: bool,
 }
 
-/// Runs a plan.
 pub fn simulate(plan: &Plan, setup: &Setup) -> Run {
     Simulation::new(plan, setup).finish()
 }
@@ -196,7 +181,6 @@ impl<'a> Simulation<'a> {
         }
     }
 
-    /// The machine's clock now.
     fn clock(&self) -> ClientTime {
         let jumps = self.plan.faults.iter().filter_map(|f| match f.what {
             FaultKind::Clock { by_us } if f.from_us <= self.at_us => Some(by_us),
@@ -205,7 +189,6 @@ impl<'a> Simulation<'a> {
         ClientTime::from_micros(BOOT_US + self.at_us + jumps.sum::<i64>())
     }
 
-    /// Active faults.
     fn broken_now(&self) -> Vec<FaultKind> {
         let on = self.plan.faults.iter().filter(|f| f.is_on(self.at_us));
         on.map(|f| f.what).collect()
@@ -239,7 +222,6 @@ impl<'a> Simulation<'a> {
         turned
     }
 
-    /// Random lateness of a tick: usually small, sometimes larger.
     fn lateness_us(&mut self) -> i64 {
         if self.rng.random_bool(0.002) {
             self.rng.random_range(500..4_000)
@@ -279,7 +261,6 @@ impl<'a> Simulation<'a> {
         self.at_us = until;
     }
 
-    /// Adds the expected counts of a tick.
     fn note(&mut self, turned: &Turned, woke: ClientTime, unlinked: bool, before: &Log, log: &Log) {
         let skip_us = (woke - self.last_woke).as_micros();
         self.expected.put_back += u64::from(skip_us < 0);
@@ -302,7 +283,7 @@ impl<'a> Simulation<'a> {
         self.blind_since_us = is_blind.then_some(since);
         let since = self.unlinked_since_us.unwrap_or(running_us);
         self.unlinked_since_us = unlinked.then_some(since);
-        self.solver.set_position(&turned.frame.sample.pose.position);
+        self.solver.x = turned.frame.sample.pose.position;
     }
 
     fn check(&mut self, turned: &Turned, log: &Log) {
@@ -370,7 +351,6 @@ impl<'a> Simulation<'a> {
         }
     }
 
-    /// Compares the counters with the injected faults.
     fn count(&mut self, log: &Log) {
         let (c, d) = (*self.hand.chain().counters(), self.hand.counts());
         let e = self.expected;
@@ -483,10 +463,6 @@ impl Solver {
         let done = self.solving.as_ref().map(|s| s.done_us);
         let next = done.map_or(self.next_us, |done| done.min(self.next_us));
         (next < until).then_some(next)
-    }
-
-    fn set_position(&mut self, x: &nalgebra::Vector3<f64>) {
-        self.x = *x;
     }
 
     /// Postpones due events to the end of a stop.

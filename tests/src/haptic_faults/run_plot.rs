@@ -1,35 +1,28 @@
 //! Table and chart of one run.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
 use palpate_tissue::write_file;
 
 use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, Panel};
+use crate::experiments::Table;
 
 use super::SeedResult;
 use super::run::Point;
 
 /// The ticks of a run, one row each. A pause of the process has three rows, because the device continues. The
 /// fault-free run is not included.
-pub fn table(points: &[Point]) -> String {
-    let mut text = String::from("t_s,commanded_n,rendered_n,changed_n,above_mm,events\n");
+fn table(points: &[Point]) -> Table {
+    let mut table = Table::new("t_s,commanded_n,rendered_n,changed_n,above_mm,events");
     for p in points {
-        let _ = writeln!(
-            text,
-            "{:.6},{:.6},{:.6},{:.6},{:.4},{}",
-            p.t_s,
-            p.commanded_n,
-            p.rendered_n,
-            p.changed_n,
-            p.above_mm,
-            p.events.bits()
-        );
+        let numbers = [p.t_s, p.commanded_n, p.rendered_n, p.changed_n];
+        let mut row = numbers.map(|x| format!("{x:.6}")).to_vec();
+        row.extend([format!("{:.4}", p.above_mm), p.events.bits().to_string()]);
+        table.rows.push(row);
     }
-    text
+    table
 }
 
-/// A run with and without faults.
 pub fn chart(result: &SeedResult) -> Chart {
     let line = |name: &str, colour, points: &[Point], value: fn(&Point) -> f64| {
         Line::new(name, colour, points.iter().map(|p| (p.t_s, value(p))))
@@ -74,7 +67,10 @@ pub fn write(result: &SeedResult, dir: &Path) -> std::io::Result<String> {
     let name = format!("{}-{}", result.plan.class, result.plan.seed);
     std::fs::create_dir_all(dir)?;
     let write = |name: &str, text: String| write_file(&dir.join(name), text).map_err(|e| e.source);
-    write(&format!("{name}.csv"), table(&result.faulty.points))?;
+    write(
+        &format!("{name}.csv"),
+        table(&result.faulty.points).to_csv(),
+    )?;
     let picture = format!("{name}.svg");
     write(&picture, chart(result).to_svg())?;
     Ok(picture)

@@ -15,17 +15,13 @@ const RADIUS_M: f64 = 8e-3;
 /// A half-space through the origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tissue {
-    /// Outward normal.
     pub normal: Unit<Vector3<f64>>,
     /// Stiffness, N/m.
     pub stiffness: f64,
     /// Damping, N·s/m.
     pub damping: f64,
-    /// Static friction coefficient.
     pub mu_static: f64,
-    /// Dynamic friction coefficient.
     pub mu_dynamic: f64,
-    /// Duration of a solve, µs.
     pub delay_us: i64,
     /// Begin of the first solve, µs of the run.
     pub phase_us: i64,
@@ -63,7 +59,6 @@ impl Tissue {
     }
 }
 
-/// `model` with a defect.
 pub fn damaged(model: &ContactModel, how: BadModel) -> ContactModel {
     let mut bad = *model;
     let touch = &mut bad.touches[0];

@@ -13,14 +13,11 @@ use crate::simulated_session::host::{GRANT, Host};
 use crate::simulated_session::simulation::Participant;
 use crate::tool_location::SurfacePoint;
 
-/// Radius of each participant's ball tool, m.
 const RADIUS_M: f64 = 0.008;
 
 /// Mean depth of a press and its amplitude, m.
 const DEPTH_M: f64 = 0.005;
 const DEPTH_SWING_M: f64 = 0.003;
-
-/// Period of a press and release, s.
 const PRESS_PERIOD_S: f64 = 2.5;
 
 /// Rms speed of a palpating hand along and across the surface, m/s.
@@ -29,7 +26,6 @@ const PALPATING_M_S: f64 = 0.01;
 /// Height of a tool that does not touch, m; larger than the hand's random motion.
 const ABOVE_M: f64 = 0.15;
 
-/// The motion of one hand.
 #[derive(Debug, Clone)]
 pub(crate) struct Motion {
     spot: SurfacePoint,
@@ -40,7 +36,6 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// A hand over a point of the surface.
     pub(crate) fn new(spot: SurfacePoint, touches: bool, seed: u64) -> Self {
         let parameters = if touches {
             HandParameters {
@@ -58,7 +53,6 @@ impl Motion {
         }
     }
 
-    /// Pose of the tool `t_s` seconds after the start.
     pub(crate) fn at(&self, t_s: f64) -> Pose {
         let wander = Vec3::from(self.hand.at(t_s).position_m);
         let height = if self.touches {
@@ -94,7 +88,6 @@ impl Motion {
     }
 }
 
-/// The join request of a participant.
 pub(crate) fn hello(seat: usize, grant: Grant) -> Hello {
     Hello {
         name: format!("member-{}", seat + 1),

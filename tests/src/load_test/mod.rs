@@ -12,14 +12,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use palpate_protocol::Span;
-use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use palpate_server::host::solver_limit;
 use palpate_tissue::{Model, Topology};
 
 use crate::network::{Direction, Profile};
-use crate::simulated_session::SiteClock;
 use crate::simulated_session::host::{Host, Round, room_config};
 use crate::simulated_session::simulation::{Participant, Simulation};
+use crate::simulated_session::{SiteClock, adaptive};
 use crate::tool_location::{SurfacePoint, ToolLocation};
 use member::{Member, Motion};
 
@@ -36,61 +35,42 @@ const ONE_TOUCHES_OF: usize = 4;
 const DELAY_US: u32 = 10_000;
 const DELAY_CAP_US: u32 = 400_000;
 
-/// Number of participants that touch the tissue.
 pub fn touching(participants: usize) -> usize {
     (participants / ONE_TOUCHES_OF).max(1).min(participants)
 }
 
-/// The motions of all participants, spread over the surface.
 pub(crate) fn motions(model: &Arc<Model>, n: usize, seed: u64) -> Result<Vec<Motion>, String> {
     let topology = Topology::new(Arc::clone(model));
-    let spots = ToolLocation::spread(&topology, n).map_err(|e| e.to_string())?;
+    let spots = ToolLocation::spread(&topology, n)?;
     // The first points are the farthest apart, so the touching participants are spread as well.
     let of = |k: usize| -> SurfacePoint { spots[k % spots.len()] };
     let motion = |k: usize| Motion::new(of(k), k < touching(n), seed.wrapping_add(k as u64));
     Ok((0..n).map(motion).collect())
 }
 
-/// Configuration of a load test in virtual time.
 #[derive(Debug, Clone)]
 pub struct LoadTest<'a> {
-    /// The tissue.
     pub model: &'a Arc<Model>,
-    /// Number of participants.
     pub participants: usize,
-    /// The network between the server and each participant.
     pub profile: &'a Profile,
-    /// Seed of motions, clocks and networks.
     pub seed: u64,
-    /// Measured time, s.
     pub seconds: f64,
-    /// Ticks per second of the server.
     pub tick_hz: u32,
 }
 
-/// Results of a load test in virtual time.
 #[derive(Debug, Clone)]
 pub struct LoadTestResult {
-    /// Cost of every server period.
     pub rounds: Vec<Round>,
-    /// Measured time, s.
     pub seconds: f64,
     /// Uplink and downlink bytes of all participants, without QUIC overhead.
     pub bytes: [u64; 2],
-    /// Errors of the run; empty on success.
     pub troubles: Vec<String>,
 }
 
 impl LoadTest<'_> {
-    /// Runs the load test. `progress` receives the completed share.
     pub fn run(&self, mut progress: impl FnMut(f64)) -> Result<LoadTestResult, String> {
         let n = self.participants;
-        let compensation = CompensationSettings {
-            mode: CompensationMode::Adaptive {
-                cap_us: DELAY_CAP_US,
-            },
-            initial_delay_us: DELAY_US,
-        };
+        let compensation = adaptive(DELAY_US, DELAY_CAP_US);
         let config = room_config(n, self.tick_hz, compensation, 0);
         let tick = Duration::from_micros(config.tick_period().as_micros().unsigned_abs());
         let limit = Span::from_micros(solver_limit(tick).as_micros() as i64);

@@ -25,8 +25,6 @@ use crate::test_model::TestModel;
 /// Time limits for the server's start, with reading of the model, and for its end.
 const LISTEN_WITHIN: Duration = Duration::from_secs(60);
 const END_WITHIN: Duration = Duration::from_secs(30);
-
-/// Time limit for a participant to join.
 const IN_WITHIN: Duration = Duration::from_secs(20);
 
 /// Interval between two batches of samples, and samples per batch.
@@ -36,33 +34,22 @@ const SAMPLES: i64 = 4;
 /// Time before the measurement: clocks lock and delays settle.
 const SETTLE: Duration = Duration::from_secs(1);
 
-/// Configuration of a load test in real time.
 #[derive(Debug, Clone, Copy)]
 pub struct Real<'a> {
-    /// The tissue.
     pub model: &'a Arc<Model>,
-    /// Number of participants.
     pub participants: usize,
-    /// Seed of the motions.
     pub seed: u64,
-    /// Measured time, s.
     pub seconds: f64,
     /// Directory for the model's file.
     pub dir: &'a Path,
 }
 
-/// Results of a load test in real time.
 #[derive(Debug, Clone, Serialize)]
 pub struct Row {
-    /// Number of participants.
     pub participants: usize,
-    /// Number of participants that touch the tissue.
     pub touching: usize,
-    /// Tick period, ms.
     pub period_ms: f64,
-    /// Duration of a tick, ms.
     pub tick_ms: TickTimes,
-    /// Delay of a tick's start, ms.
     pub late_ms: TickTimes,
     /// Cores that the server's room and solver thread kept busy.
     pub room_cores: f64,
@@ -72,11 +59,9 @@ pub struct Row {
     pub member_cores: f64,
     /// Uplink UDP payload per participant with QUIC overhead, kbit/s.
     pub up_kbit_s: f64,
-    /// Downlink UDP payload per participant with QUIC overhead, kbit/s.
     pub down_kbit_s: f64,
     /// Datagrams the server skipped for lack of send capacity, over the whole session.
     pub datagrams_skipped: u64,
-    /// Peak memory of the server process, MB.
     pub memory_mb: Option<f64>,
     /// Error that a participant received when all seats were taken.
     pub one_more: String,
@@ -85,10 +70,8 @@ pub struct Row {
 }
 
 impl Real<'_> {
-    /// Runs the load test.
     pub fn run(&self) -> Result<Row, String> {
-        let subject = TestModel::of(self.model.as_ref().clone(), self.dir);
-        let file = subject.map_err(|e| e.to_string())?.file;
+        let file = TestModel::of(self.model.as_ref().clone(), self.dir)?.file;
         let executable = std::env::current_exe()
             .map_err(|e| format!("cannot find this program's executable: {e}"))?;
         let seats = self.participants.to_string();

@@ -7,6 +7,8 @@ use serde::de::{Deserialize, Deserializer, Error};
 use super::link::{Outage, Step};
 use super::path::DELAY_MAX_MS;
 
+const WEEK_S: f64 = 604_800.0;
+
 /// A number within inclusive bounds; NaN is rejected.
 fn between<'de, D: Deserializer<'de>>(
     deserializer: D,
@@ -22,44 +24,30 @@ fn between<'de, D: Deserializer<'de>>(
     }
 }
 
-/// A share of packets, 0 to 1.
-pub(super) fn share<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
-    between(d, (0.0, 1.0), "a share of packets")
+macro_rules! ranges {
+    ($($name:ident, $low:expr, $high:expr, $what:literal;)*) => {
+        $(pub(super) fn $name<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+            between(d, ($low, $high), $what)
+        })*
+    };
 }
 
-/// [`share`] of an optional key.
-pub(super) fn maybe_share<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
-    share(d).map(Some)
+ranges! {
+    share, 0.0, 1.0, "a share of packets";
+    delay_ms, 0.0, DELAY_MAX_MS, "a delay in milliseconds";
+    // A divisor.
+    spread_ms, 0.001, DELAY_MAX_MS, "a spread in milliseconds";
+    // Of a heavy tail: below 1 the mean does not exist; from 100 on the tail vanishes.
+    exponent, 1.0, 100.0, "an exponent";
+    packets, 1.0, 1e9, "a mean number of packets in a row";
+    // A packet of 1200 B takes 10 s on the slowest.
+    bits_per_s, 1e3, 1e12, "a rate in bits per second";
+    seconds, 0.0, WEEK_S, "a moment in seconds";
 }
 
-/// A delay in milliseconds.
-pub(super) fn delay_ms<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
-    between(d, (0.0, DELAY_MAX_MS), "a delay in milliseconds")
-}
-
-/// [`delay_ms`] of an optional key.
-pub(super) fn maybe_delay_ms<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
-    delay_ms(d).map(Some)
-}
-
-/// A positive length in milliseconds, used as a divisor.
-pub(super) fn spread_ms<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
-    between(d, (0.001, DELAY_MAX_MS), "a spread in milliseconds")
-}
-
-/// Exponent of a heavy tail. Below 1 the mean does not exist; from 100 on the tail vanishes.
-pub(super) fn exponent<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
-    between(d, (1.0, 100.0), "an exponent")
-}
-
-/// A mean run length in packets.
-pub(super) fn packets<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
-    between(d, (1.0, 1e9), "a mean number of packets in a row")
-}
-
-/// Bits per second. A packet of 1200 B takes 10 s on the slowest.
-pub(super) fn bits_per_s<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
-    between(d, (1e3, 1e12), "a rate in bits per second")
+/// A period in seconds, used as a divisor.
+pub(super) fn maybe_period_s<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
+    between(d, (1e-3, WEEK_S), "a period in seconds").map(Some)
 }
 
 /// Queue size in bytes; a queue below one full packet would drop every packet.
@@ -74,17 +62,6 @@ pub(super) fn queue_bytes<'de, D: Deserializer<'de>>(d: D) -> Result<u64, D::Err
     }
 }
 
-/// A time or length in seconds, up to a week.
-pub(super) fn seconds<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
-    between(d, (0.0, 604_800.0), "a moment in seconds")
-}
-
-/// A period in seconds, from a millisecond to a week.
-pub(super) fn maybe_period_s<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
-    between(d, (1e-3, 604_800.0), "a period in seconds").map(Some)
-}
-
-/// Steps in increasing order.
 pub(super) fn steps<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<Step>, D::Error> {
     let steps = Vec::<Step>::deserialize(d)?;
     for pair in steps.windows(2) {
@@ -98,7 +75,6 @@ pub(super) fn steps<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<Step>, D::Err
     Ok(steps)
 }
 
-/// Outages in increasing order, without overlap.
 pub(super) fn outages<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<Outage>, D::Error> {
     let outages = Vec::<Outage>::deserialize(d)?;
     let mut free_from_s = 0.0;

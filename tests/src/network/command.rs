@@ -1,13 +1,10 @@
 //! `palpate-lab profiles`.
 
-use std::process::ExitCode;
-
 use clap::Args;
 
 use super::{Jitter, Link, Profile};
 use crate::cli::print_line;
 
-/// Text at the end of `palpate-lab profiles --help`: every key of a profile file.
 pub(crate) const HELP: &str = "\
 Examples:
   palpate-lab profiles
@@ -40,21 +37,19 @@ pub(crate) struct Arguments {
     name: Option<String>,
 }
 
-/// Lists the profiles or prints one.
-pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
+pub(crate) fn run(arguments: &Arguments) -> Result<bool, String> {
     if let Some(name) = &arguments.name {
-        let profile = Profile::parse(name).map_err(|e| e.to_string())?;
+        let profile = Profile::parse(name)?;
         print_line(profile.to_toml().trim_end())?;
-        return Ok(ExitCode::SUCCESS);
+        return Ok(true);
     }
     for name in Profile::names() {
-        let profile = Profile::named(name).map_err(|e| e.to_string())?;
+        let profile = Profile::named(name)?;
         print_line(&format!("{name:17} {}", sentence(&profile.up)))?;
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(true)
 }
 
-/// Description of a link in a line.
 fn sentence(link: &Link) -> String {
     let mut words = vec![match &link.steps {
         Some(steps) => {

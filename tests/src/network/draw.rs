@@ -9,7 +9,6 @@ use rand_pcg::Pcg64;
 use super::link::Jitter;
 use super::path::Direction;
 
-/// Purpose of a random number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Purpose {
     Loss = 1,
@@ -51,14 +50,12 @@ impl Draw {
         Pcg64::seed_from_u64(mix(key ^ n.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
     }
 
-    /// A uniform number in [0, 1).
     pub(super) fn share(self, n: u64, purpose: Purpose) -> f64 {
         self.stream(n, purpose).random()
     }
 }
 
 impl Jitter {
-    /// Random addition to the delay, ms.
     pub(super) fn draw_ms(&self, rng: &mut Pcg64) -> f64 {
         match *self {
             Self::None => 0.0,

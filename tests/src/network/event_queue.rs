@@ -19,13 +19,11 @@ impl<Time, Event> Default for EventQueue<Time, Event> {
 }
 
 impl<Time: Ord + Copy, Event> EventQueue<Time, Event> {
-    /// Adds an event.
     pub(crate) fn push(&mut self, at: Time, event: Event) {
         self.events.insert((at, self.next_order), event);
         self.next_order += 1;
     }
 
-    /// Time of the next event.
     pub(crate) fn next_at(&self) -> Option<Time> {
         self.events.first_key_value().map(|((at, _), _)| *at)
     }
@@ -37,12 +35,10 @@ impl<Time: Ord + Copy, Event> EventQueue<Time, Event> {
         (at <= until).then(|| (at, first.remove()))
     }
 
-    /// Removes the events for which `keep` is false.
     pub(crate) fn retain(&mut self, mut keep: impl FnMut(&Event) -> bool) {
         self.events.retain(|_, event| keep(event));
     }
 
-    /// Number of events.
     pub(crate) fn len(&self) -> usize {
         self.events.len()
     }

@@ -6,37 +6,48 @@ use super::checked;
 use super::trace::Trace;
 
 /// One direction of a network. The default link is ideal.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct Link {
-    /// Delay of every packet, milliseconds.
+    #[serde(deserialize_with = "checked::delay_ms")]
     pub delay_ms: f64,
-    /// Delays that replace [`delay_ms`](Self::delay_ms) from given times on.
-    pub steps: Option<Steps>,
-    /// Random delay added per packet.
-    pub jitter: Jitter,
     /// Whether a packet with less delay overtakes an earlier one; otherwise it waits.
+    #[serde(skip_serializing_if = "is_default")]
     pub reorder: bool,
-    /// Independent packet loss, 0 to 1.
+    #[serde(skip_serializing_if = "is_default")]
+    #[serde(deserialize_with = "checked::share")]
     pub loss: f64,
-    /// Burst losses.
-    pub bursts: Option<Bursts>,
-    /// Share of duplicated packets, 0 to 1.
+    #[serde(skip_serializing_if = "is_default")]
+    #[serde(deserialize_with = "checked::share")]
     pub duplicate: f64,
     /// Share of packets with flipped bits, 0 to 1.
+    #[serde(skip_serializing_if = "is_default")]
+    #[serde(deserialize_with = "checked::share")]
     pub corrupt: f64,
-    /// The bottleneck.
-    pub rate: Option<Rate>,
-    /// Outages of the link.
-    pub outages: Option<Outages>,
     /// Recorded delays and losses, in addition to the others.
+    #[serde(skip_serializing_if = "is_default")]
     pub trace: Option<Trace>,
+    #[serde(skip_serializing_if = "is_default")]
+    pub jitter: Jitter,
+    #[serde(skip_serializing_if = "is_default")]
+    pub bursts: Option<Bursts>,
+    #[serde(skip_serializing_if = "is_default")]
+    pub rate: Option<Rate>,
+    /// Delays that replace [`delay_ms`](Self::delay_ms) from given times on.
+    #[serde(skip_serializing_if = "is_default")]
+    pub steps: Option<Steps>,
+    #[serde(skip_serializing_if = "is_default")]
+    pub outages: Option<Outages>,
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 /// Random addition to the delay. A packet never arrives before it was sent.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Jitter {
-    /// None.
     #[default]
     None,
     /// Uniform within ± `reach_ms`.
@@ -45,18 +56,14 @@ pub enum Jitter {
         #[serde(deserialize_with = "checked::delay_ms")]
         reach_ms: f64,
     },
-    /// Normal with mean zero.
     Normal {
-        /// Standard deviation, ms.
         #[serde(deserialize_with = "checked::delay_ms")]
         deviation_ms: f64,
     },
     /// Gamma distribution, never negative: a model of several queues in series.
     Gamma {
-        /// Mean, ms.
         #[serde(deserialize_with = "checked::spread_ms")]
         mean_ms: f64,
-        /// Standard deviation, ms.
         #[serde(deserialize_with = "checked::spread_ms")]
         deviation_ms: f64,
     },
@@ -66,7 +73,6 @@ pub enum Jitter {
         /// Scale, ms; the mean is scale / (exponent - 1).
         #[serde(deserialize_with = "checked::spread_ms")]
         scale_ms: f64,
-        /// Decay of the tail.
         #[serde(deserialize_with = "checked::exponent")]
         exponent: f64,
     },
@@ -80,7 +86,6 @@ pub struct Bursts {
     /// Mean run length of the good state, packets.
     #[serde(deserialize_with = "checked::packets")]
     pub good_packets: f64,
-    /// Mean run length of the bad state, packets.
     #[serde(deserialize_with = "checked::packets")]
     pub bad_packets: f64,
     /// Packet loss in the bad state, 0 to 1; the good state has that of the link.
@@ -108,46 +113,33 @@ pub struct Rate {
 #[serde(deny_unknown_fields)]
 pub struct Steps {
     /// Period in seconds; without it the last delay stays.
-    #[serde(
-        default,
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "checked::maybe_period_s"
-    )]
+    #[serde(default, skip_serializing_if = "is_default")]
+    #[serde(deserialize_with = "checked::maybe_period_s")]
     pub repeat_s: Option<f64>,
-    /// The steps in increasing order.
     #[serde(deserialize_with = "checked::steps")]
     pub delays: Vec<Step>,
 }
 
-/// A delay from a time on.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Step {
     /// Begin, seconds after the start of the network.
     #[serde(deserialize_with = "checked::seconds")]
     pub at_s: f64,
-    /// Delay from then on, ms.
     #[serde(deserialize_with = "checked::delay_ms")]
     pub delay_ms: f64,
 }
 
-/// Intervals in which every packet is lost.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outages {
-    /// Period in seconds.
-    #[serde(
-        default,
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "checked::maybe_period_s"
-    )]
+    #[serde(default, skip_serializing_if = "is_default")]
+    #[serde(deserialize_with = "checked::maybe_period_s")]
     pub repeat_s: Option<f64>,
-    /// The outages in increasing order.
     #[serde(deserialize_with = "checked::outages")]
     pub times: Vec<Outage>,
 }
 
-/// One outage.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outage {

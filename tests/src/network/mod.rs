@@ -12,7 +12,7 @@
 //! outage -> bottleneck and its queue -> loss -> delay, jitter, burst, trace -> order -> copy, flipped bits
 //! ```
 //!
-//! The relay for real sockets, [`relay`](crate::relay), and [simulated sessions](crate::simulated_session) use
+//! The relay for real sockets, `relay`, and simulated sessions use
 //! the same [`Path`].
 
 mod checked;
@@ -33,6 +33,6 @@ pub use link::{Bursts, Jitter, Link, Outage, Outages, Rate, Step, Steps};
 pub use path::{
     Arrival, Arrivals, Corruption, DELAY_MAX_MS, Direction, HEADER_BYTES, Path, PathCounts,
 };
-pub use profile::{Profile, ProfileError};
+pub use profile::Profile;
 pub use spread::Spread;
-pub use trace::{TRACE_ROWS_MAX, Trace, TraceError, TraceRow};
+pub use trace::Trace;

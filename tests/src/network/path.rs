@@ -12,7 +12,6 @@ pub const DELAY_MAX_MS: f64 = 60_000.0;
 /// Header bytes per packet on the wire: 20 B of IPv4 and 8 B of UDP.
 pub const HEADER_BYTES: usize = 28;
 
-/// Direction of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Direction {
     /// From a client to the server.
@@ -21,12 +20,10 @@ pub enum Direction {
     Down,
 }
 
-/// One arrival of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Arrival {
     /// Time, microseconds after the start of the network.
     pub at_us: u64,
-    /// Corruption of its bits.
     pub corrupted: Option<Corruption>,
 }
 
@@ -52,54 +49,20 @@ impl Corruption {
 }
 
 /// Arrivals of a packet in order: none if it is lost, two if it is duplicated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Arrivals([Option<Arrival>; 2]);
+pub type Arrivals = Vec<Arrival>;
 
-impl Arrivals {
-    /// The arrivals.
-    pub fn iter(&self) -> impl Iterator<Item = &Arrival> {
-        self.0.iter().flatten()
-    }
-
-    /// Number of arrivals: 0, 1 or 2.
-    pub fn len(&self) -> usize {
-        self.iter().count()
-    }
-
-    /// Whether the packet is lost.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-}
-
-impl IntoIterator for Arrivals {
-    type Item = Arrival;
-    type IntoIter = std::iter::Flatten<std::array::IntoIter<Option<Arrival>, 2>>;
-
-    fn into_iter(self) -> Self::IntoIter {
-        self.0.into_iter().flatten()
-    }
-}
-
-/// Packet counts of a path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct PathCounts {
-    /// Packets sent.
     pub sent: u64,
     /// Lost by chance or by the trace.
     pub lost: u64,
-    /// Lost because the link was down.
     pub in_outage: u64,
-    /// Lost because the bottleneck's queue was full.
     pub queue_full: u64,
-    /// Arrived twice.
     pub duplicated: u64,
-    /// Arrivals with flipped bits.
     pub corrupted: u64,
 }
 
 impl PathCounts {
-    /// Packets that never arrived.
     pub fn dropped(&self) -> u64 {
         self.lost + self.in_outage + self.queue_full
     }
@@ -113,7 +76,6 @@ pub struct Path {
     counts: PathCounts,
     /// Latest time so far; time does not decrease.
     now_us: u64,
-    /// Whether the two-state link is in its bad state.
     is_bad: bool,
     /// Time until which the bottleneck is busy, in fractional microseconds: at 1 Gbit/s a packet takes ten.
     busy_until_us: f64,
@@ -135,7 +97,6 @@ impl Path {
         }
     }
 
-    /// Packet counts so far.
     pub fn counts(&self) -> PathCounts {
         self.counts
     }
@@ -151,18 +112,18 @@ impl Path {
         let now_us = self.now_us;
         if self.link.outages.as_ref().is_some_and(|o| o.covers(now_us)) {
             self.counts.in_outage += 1;
-            return Arrivals::default();
+            return Arrivals::new();
         }
         let Some(leaves_us) = self.pass_bottleneck(bytes) else {
             self.counts.queue_full += 1;
-            return Arrivals::default();
+            return Arrivals::new();
         };
         let recorded = self.link.trace.as_ref().map(|t| t.at(now_us));
         let bursts = self.link.bursts.filter(|_| was_bad);
         let loss = bursts.map_or(self.link.loss, |b| b.loss);
         if self.draw.share(n, Purpose::Loss) < loss || recorded.is_some_and(|r| r.lost) {
             self.counts.lost += 1;
-            return Arrivals::default();
+            return Arrivals::new();
         }
         let steps = self.link.steps.as_ref();
         let fixed_ms = steps.map_or(self.link.delay_ms, |s| {
@@ -222,8 +183,9 @@ impl Path {
         let copy = copy_us.map(|at_us| self.arrival(n, at_us, Purpose::CopyCorrupt));
         self.counts.duplicated += u64::from(is_double);
         match copy {
-            Some(copy) if copy.at_us < first.at_us => Arrivals([Some(copy), Some(first)]),
-            copy => Arrivals([Some(first), copy]),
+            Some(copy) if copy.at_us < first.at_us => vec![copy, first],
+            Some(copy) => vec![first, copy],
+            None => vec![first],
         }
     }
 

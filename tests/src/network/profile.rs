@@ -1,209 +1,66 @@
 //! Network profiles, by name or from a file.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use std::sync::LazyLock;
 
-use palpate_device::text_file::{self, TextFileError};
 use serde::{Deserialize, Serialize};
 
-use super::checked;
-use super::link::{Bursts, Jitter, Link, Outage, Outages, Rate, Step, Steps};
+use super::link::Link;
 use super::path::Direction;
-use super::trace::{Trace, TraceError};
+use crate::input_file;
 use crate::name_suggestion::{did_you_mean, with_suggestion};
 
-/// Maximum size of a profile file, bytes. Longer recordings belong into a trace file.
 const FILE_BYTES_MAX: u64 = 1_000_000;
 
-/// A network.
+/// A network; `up` is the link to the server.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Profile {
-    /// Name.
     pub name: String,
-    /// Link to the server.
     pub up: Link,
-    /// Link to a client.
     pub down: Link,
 }
 
-/// Failure to load a profile.
-#[derive(Debug, thiserror::Error)]
-pub enum ProfileError {
-    /// Unknown name.
-    #[error("unknown network profile \"{name}\"{}. Known profiles: {}; or give a TOML file's path, which ends in .toml", did_you_mean(name, &NAMES), NAMES.join(", "))]
-    Unknown {
-        /// The name.
-        name: String,
-    },
-    /// Unreadable file.
-    #[error("the network profile {} can not be read: {why}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Error of the operating system.
-        why: std::io::Error,
-    },
-    /// File too large.
-    #[error("the network profile {} has {bytes} bytes, more than {FILE_BYTES_MAX}: long recordings go into a trace", path.display())]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-        /// Its size.
-        bytes: u64,
-    },
-    /// Invalid content.
-    #[error("{}: {why}", path.display())]
-    Content {
-        /// The file.
-        path: PathBuf,
-        /// Error with line, column and the valid form.
-        why: String,
-    },
-    /// Invalid trace.
-    #[error("{}: {why}", path.display())]
-    Trace {
-        /// The profile file.
-        path: PathBuf,
-        /// Error of the trace.
-        why: TraceError,
-    },
-}
-
-/// The named profiles.
-const NAMES: [&str; 14] = [
-    "none",
-    "lan",
-    "metro",
-    "transatlantic",
-    "intercontinental",
-    "satellite",
-    "wifi-bursts",
-    "lte",
-    "lossy",
-    "gamma",
-    "steps",
-    "bursts",
-    "outages",
-    "far-steps",
-];
-
-/// The profile in a file.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Document {
     name: String,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    both: Option<LinkDocument>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    up: Option<LinkDocument>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    down: Option<LinkDocument>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    both: Option<Link>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    up: Option<Link>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    down: Option<Link>,
 }
 
-/// One direction in a file; omitted keys are inherited.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct LinkDocument {
-    #[serde(
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "checked::maybe_delay_ms"
-    )]
-    delay_ms: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    reorder: Option<bool>,
-    #[serde(
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "checked::maybe_share"
-    )]
-    loss: Option<f64>,
-    #[serde(
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "checked::maybe_share"
-    )]
-    duplicate: Option<f64>,
-    #[serde(
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "checked::maybe_share"
-    )]
-    corrupt: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    trace: Option<PathBuf>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    jitter: Option<Jitter>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    bursts: Option<Bursts>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    rate: Option<Rate>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    steps: Option<Steps>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    outages: Option<Outages>,
+#[derive(Deserialize)]
+struct Named {
+    profile: Vec<Document>,
 }
 
-impl LinkDocument {
-    /// The file form of a link, without default values.
-    fn of(link: &Link) -> Self {
-        let unless_zero = |x: f64| (x != 0.0).then_some(x);
-        Self {
-            delay_ms: Some(link.delay_ms),
-            reorder: link.reorder.then_some(true),
-            loss: unless_zero(link.loss),
-            duplicate: unless_zero(link.duplicate),
-            corrupt: unless_zero(link.corrupt),
-            trace: link.trace.as_ref().map(|t| t.file.clone()),
-            jitter: (link.jitter != Jitter::None).then_some(link.jitter),
-            bursts: link.bursts,
-            rate: link.rate,
-            steps: link.steps.clone(),
-            outages: link.outages.clone(),
-        }
-    }
-
-    /// Fills omitted keys from `other`.
-    fn or(self, other: &Self) -> Self {
-        let other = other.clone();
-        Self {
-            delay_ms: self.delay_ms.or(other.delay_ms),
-            reorder: self.reorder.or(other.reorder),
-            loss: self.loss.or(other.loss),
-            duplicate: self.duplicate.or(other.duplicate),
-            corrupt: self.corrupt.or(other.corrupt),
-            trace: self.trace.or(other.trace),
-            jitter: self.jitter.or(other.jitter),
-            bursts: self.bursts.or(other.bursts),
-            rate: self.rate.or(other.rate),
-            steps: self.steps.or(other.steps),
-            outages: self.outages.or(other.outages),
-        }
-    }
-
-    /// Converts to a link; `folder` is the base of the trace path.
-    fn into_link(self, folder: &Path) -> Result<Link, TraceError> {
-        let trace = self.trace.map(|file| Trace::read(&file, folder));
-        Ok(Link {
-            delay_ms: self.delay_ms.unwrap_or_default(),
-            steps: self.steps,
-            jitter: self.jitter.unwrap_or_default(),
-            reorder: self.reorder.unwrap_or_default(),
-            loss: self.loss.unwrap_or_default(),
-            bursts: self.bursts,
-            duplicate: self.duplicate.unwrap_or_default(),
-            corrupt: self.corrupt.unwrap_or_default(),
-            rate: self.rate,
-            outages: self.outages,
-            trace: trace.transpose()?,
-        })
-    }
-}
+static NAMED: LazyLock<Vec<Profile>> = LazyLock::new(|| {
+    let named = toml::from_str::<Named>(include_str!("profiles.toml")).expect("valid profiles");
+    let profile = |document: Document| {
+        let link = document.both.expect("named networks are symmetric");
+        Profile::both(&document.name, link)
+    };
+    named.profile.into_iter().map(profile).collect()
+});
 
 impl Profile {
-    /// Names that [`named`](Self::named) accepts.
-    pub fn names() -> &'static [&'static str] {
-        &NAMES
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        NAMED.iter().map(|profile| profile.name.as_str())
     }
 
-    /// An ideal network.
-    pub fn none() -> Self {
-        Self::both("none", Link::default())
+    pub fn named(name: &str) -> Result<Self, String> {
+        let named = NAMED.iter().find(|profile| profile.name == name);
+        named.cloned().ok_or_else(|| {
+            let names: Vec<&str> = Self::names().collect();
+            let (meant, names) = (did_you_mean(name, &names), names.join(", "));
+            format!(
+                "unknown network profile \"{name}\"{meant}. Known profiles: {names}; or give a TOML file's \
+                 path, which ends in .toml"
+            )
+        })
     }
 
     /// A symmetric network.
@@ -215,7 +72,6 @@ impl Profile {
         }
     }
 
-    /// The link of a direction.
     pub fn link(&self, direction: Direction) -> &Link {
         match direction {
             Direction::Up => &self.up,
@@ -224,164 +80,58 @@ impl Profile {
     }
 
     /// A profile by name, or from the `.toml` file with this path.
-    pub fn parse(name_or_path: &str) -> Result<Self, ProfileError> {
+    pub fn parse(name_or_path: &str) -> Result<Self, String> {
         let path = Path::new(name_or_path);
-        if path.extension().is_some_and(|e| e == "toml") {
-            Self::read(path)
-        } else {
-            Self::named(name_or_path)
+        if path.extension().is_none_or(|e| e != "toml") {
+            return Self::named(name_or_path);
         }
-    }
-
-    /// A profile from a TOML file. Trace paths are relative to it.
-    pub fn read(path: &Path) -> Result<Self, ProfileError> {
-        let text = text_file::read(path, FILE_BYTES_MAX).map_err(|e| {
-            let path = path.to_owned();
-            match e {
-                TextFileError::Read(why) => ProfileError::Read { path, why },
-                TextFileError::TooLarge { bytes } => ProfileError::TooLarge { path, bytes },
-            }
-        })?;
+        let remedy = "long recordings go into a trace";
+        let text = input_file::read(path, "network profile", FILE_BYTES_MAX, remedy)?;
         Self::from_toml(&text, path)
     }
 
     /// A profile from TOML text. `path` is used in errors and as the base of trace paths.
-    pub fn from_toml(text: &str, path: &Path) -> Result<Self, ProfileError> {
-        let document: Document = toml::from_str(text).map_err(|why| ProfileError::Content {
-            path: path.to_owned(),
-            why: with_suggestion(why.to_string().trim_end()),
-        })?;
-        let folder = path.parent().unwrap_or(Path::new(""));
-        let both = document.both.unwrap_or_default();
-        let link = |own: Option<LinkDocument>| {
-            let link = own.unwrap_or_default().or(&both).into_link(folder);
-            link.map_err(|why| ProfileError::Trace {
-                path: path.to_owned(),
-                why,
-            })
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, String> {
+        let shown = path.display();
+        let invalid =
+            |why: toml::de::Error| format!("{shown}: {}", with_suggestion(&why.to_string()));
+        // Each table is read by itself first, because only errors of the text name their line.
+        let document: Document = toml::from_str(text).map_err(invalid)?;
+        let mut tables: toml::Table = toml::from_str(text).map_err(invalid)?;
+        let mut table = |name: &str| match tables.remove(name) {
+            Some(toml::Value::Table(table)) => table,
+            _ => toml::Table::new(),
+        };
+        let both = table("both");
+        let mut link = |name: &str| -> Result<Link, String> {
+            let mut keys = both.clone();
+            keys.extend(table(name));
+            let mut link: Link = keys.try_into().map_err(invalid)?;
+            if let Some(trace) = &mut link.trace {
+                let folder = path.parent().unwrap_or(Path::new(""));
+                trace
+                    .load(folder)
+                    .map_err(|why| format!("{shown}: {why}"))?;
+            }
+            Ok(link)
         };
         Ok(Self {
+            up: link("up")?,
+            down: link("down")?,
             name: document.name,
-            up: link(document.up)?,
-            down: link(document.down)?,
         })
     }
 
-    /// The profile as TOML text.
     pub fn to_toml(&self) -> String {
-        let of = |link| Some(LinkDocument::of(link));
-        let (both, up, down) = if self.up == self.down {
-            (of(&self.up), None, None)
-        } else {
-            (None, of(&self.up), of(&self.down))
-        };
+        let of = |link: &Link, is_written: bool| is_written.then(|| link.clone());
+        let is_symmetric = self.up == self.down;
         let document = Document {
             name: self.name.clone(),
-            both,
-            up,
-            down,
+            both: of(&self.up, is_symmetric),
+            up: of(&self.up, !is_symmetric),
+            down: of(&self.down, !is_symmetric),
         };
         toml::to_string(&document).expect("a profile is plain data")
-    }
-
-    /// A profile by its name.
-    pub fn named(name: &str) -> Result<Self, ProfileError> {
-        let uniform = |reach_ms| Jitter::Uniform { reach_ms };
-        let normal = |deviation_ms| Jitter::Normal { deviation_ms };
-        // Shape 1, so that uplink and downlink add up to shape 2.
-        let gamma = |mean_ms| Jitter::Gamma {
-            mean_ms,
-            deviation_ms: mean_ms,
-        };
-        let plain = |delay_ms, jitter, loss| Link {
-            delay_ms,
-            jitter,
-            loss,
-            ..Link::default()
-        };
-        let stepping = |delays_ms: [f64; 3], jitter| Link {
-            steps: Some(Steps {
-                repeat_s: Some(30.0),
-                delays: [0.0, 10.0, 20.0]
-                    .into_iter()
-                    .zip(delays_ms)
-                    .map(|(at_s, delay_ms)| Step { at_s, delay_ms })
-                    .collect(),
-            }),
-            ..plain(delays_ms[0], jitter, 0.0)
-        };
-        let link = match name {
-            "none" => Link::default(),
-            "lan" => plain(0.3, uniform(0.1), 0.0),
-            "metro" => plain(5.0, normal(0.5), 0.001),
-            "transatlantic" => Link {
-                reorder: true,
-                ..plain(60.0, uniform(10.0), 0.02)
-            },
-            "intercontinental" => Link {
-                reorder: true,
-                ..plain(120.0, uniform(15.0), 0.02)
-            },
-            "satellite" => plain(300.0, normal(5.0), 0.01),
-            "wifi-bursts" => Link {
-                bursts: Some(Bursts {
-                    good_packets: 480.0,
-                    bad_packets: 20.0,
-                    loss: 0.4,
-                    delay_ms: 60.0,
-                }),
-                ..plain(8.0, normal(2.0), 0.005)
-            },
-            "lte" => Link {
-                bursts: Some(Bursts {
-                    good_packets: 1640.0,
-                    bad_packets: 25.0,
-                    loss: 0.1,
-                    delay_ms: 100.0,
-                }),
-                ..plain(35.0, normal(6.0), 0.005)
-            },
-            "lossy" => Link {
-                reorder: true,
-                duplicate: 0.01,
-                ..plain(40.0, uniform(10.0), 0.2)
-            },
-            "gamma" => Link {
-                reorder: true,
-                ..plain(25.0, gamma(5.0), 0.0)
-            },
-            // 50 ms, and 120 ms for 0.2 s in every 2 s at 250 packets per second.
-            "bursts" => Link {
-                bursts: Some(Bursts {
-                    good_packets: 450.0,
-                    bad_packets: 50.0,
-                    loss: 0.0,
-                    delay_ms: 70.0,
-                }),
-                ..plain(50.0, uniform(2.0), 0.0)
-            },
-            // An outage of 0.5 s in every 20 s: a radio handover.
-            "outages" => Link {
-                outages: Some(Outages {
-                    repeat_s: Some(20.0),
-                    times: vec![Outage {
-                        from_s: 15.0,
-                        to_s: 15.5,
-                    }],
-                }),
-                ..plain(25.0, uniform(3.0), 0.002)
-            },
-            // 30, 80 and 120 ms from one participant to another, half of it on each link to the server.
-            "steps" => stepping([15.0, 40.0, 60.0], gamma(0.25)),
-            // The full delay on every link: 60, 160 and 240 ms from one participant to another.
-            "far-steps" => stepping([30.0, 80.0, 120.0], uniform(2.0)),
-            _ => {
-                return Err(ProfileError::Unknown {
-                    name: name.to_owned(),
-                });
-            }
-        };
-        Ok(Self::both(name, link))
     }
 }
 
@@ -393,7 +143,7 @@ mod tests {
     fn named_profiles_round_trip_through_their_files() {
         for name in Profile::names() {
             let profile = Profile::parse(name).unwrap();
-            assert_eq!(profile.name, *name);
+            assert_eq!(profile.name, name);
             let text = profile.to_toml();
             let again = Profile::from_toml(&text, Path::new("again.toml")).unwrap();
             assert_eq!(again, profile, "{text}");
@@ -402,13 +152,13 @@ mod tests {
 
     #[test]
     fn unknown_name_error_suggests_the_nearest_and_lists_all() {
-        let sentence = Profile::parse("transatlantik").unwrap_err().to_string();
+        let sentence = Profile::parse("transatlantik").unwrap_err();
         assert!(
             sentence.contains("did you mean \"transatlantic\"?"),
             "{sentence}"
         );
         assert!(sentence.contains("satellite"));
-        let sentence = Profile::parse("qqqq").unwrap_err().to_string();
+        let sentence = Profile::parse("qqqq").unwrap_err();
         assert!(!sentence.contains("did you mean"), "{sentence}");
     }
 
@@ -468,8 +218,7 @@ mod tests {
         ];
         for (line, right) in cases {
             let text = format!("name = \"mine\"\n[both]\n{line}\n");
-            let error = Profile::from_toml(&text, Path::new("mine.toml")).unwrap_err();
-            let sentence = error.to_string();
+            let sentence = Profile::from_toml(&text, Path::new("mine.toml")).unwrap_err();
             for part in ["mine.toml", "line 3", right] {
                 assert!(sentence.contains(part), "{line}: {sentence}");
             }

@@ -2,10 +2,8 @@
 
 use super::{Jitter, Link, Profile};
 
-/// Delay of a link or a round trip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spread {
-    /// Mean, ms.
     pub mean_ms: f64,
     /// Standard deviation, ms; infinite for distributions without one.
     pub deviation_ms: f64,
@@ -14,7 +12,6 @@ pub struct Spread {
 }
 
 impl Jitter {
-    /// Mean and standard deviation, ms.
     pub fn moments_ms(&self) -> (f64, f64) {
         match *self {
             Self::None => (0.0, 0.0),
@@ -78,7 +75,6 @@ impl Link {
 }
 
 impl Profile {
-    /// Whether both directions are [steady](Link::is_steady).
     pub fn is_steady(&self) -> bool {
         self.up.is_steady() && self.down.is_steady()
     }

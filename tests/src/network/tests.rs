@@ -344,7 +344,7 @@ fn invalid_trace_error_names_the_line() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("p.toml");
     std::fs::write(&file, "name = \"x\"\n[down]\ntrace = \"t.csv\"\n").unwrap();
-    let sentence = || Profile::read(&file).unwrap_err().to_string();
+    let sentence = || Profile::parse(file.to_str().unwrap()).unwrap_err();
     assert!(sentence().contains("can not be read"), "{}", sentence());
     for (csv, parts) in [
         ("t,d\n1,2\n", ["line 1", "time_ms,delay_ms,lost"]),
@@ -439,7 +439,7 @@ fn equal_seeds_give_equal_deliveries_and_other_seeds_differ() {
     for name in Profile::names() {
         let profile = Profile::named(name).unwrap();
         assert_eq!(through(&profile, 7), through(&profile, 7));
-        if *name != "none" {
+        if name != "none" {
             assert_ne!(through(&profile, 7), through(&profile, 8), "{name}");
         }
     }
@@ -461,7 +461,7 @@ proptest! {
     fn delays_are_not_negative_and_order_is_kept_without_reordering(
         seed: u64,
         reorder: bool,
-        name in prop::sample::select(Profile::names().to_vec()),
+        name in prop::sample::select(Profile::names().collect::<Vec<_>>()),
     ) {
         let mut profile = Profile::named(name).unwrap();
         profile.up.reorder = reorder;

@@ -4,19 +4,20 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use palpate_device::text_file::{self, TextFileError};
+use serde::{Deserialize, Serialize};
+
+use crate::input_file;
 
 /// Maximum rows of a trace: 17 minutes at 1 kHz, and 24 MB.
 pub const TRACE_ROWS_MAX: usize = 1_000_000;
 
 /// Maximum size of a trace file: [`TRACE_ROWS_MAX`] rows of 64 bytes.
 const TRACE_BYTES_MAX: u64 = 64_000_000;
-
-/// First line of a trace file.
 const HEADER: &str = "time_ms,delay_ms,lost";
 
 /// A recorded network. It repeats one row length after its last row.
-#[derive(Clone, PartialEq)]
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
+#[serde(from = "PathBuf", into = "PathBuf")]
 pub struct Trace {
     /// Its file name in the profile.
     pub file: PathBuf,
@@ -26,43 +27,22 @@ pub struct Trace {
 /// Observation from a time on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TraceRow {
-    /// Time, ms.
     pub time_ms: f64,
-    /// Delay of a packet sent then, ms.
     pub delay_ms: f64,
-    /// Whether it was lost.
     pub lost: bool,
 }
 
-/// Failure to load a trace.
-#[derive(Debug, thiserror::Error)]
-pub enum TraceError {
-    /// Unreadable file.
-    #[error("the trace {} can not be read: {why}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Error of the operating system.
-        why: std::io::Error,
-    },
-    /// File too large.
-    #[error("the trace {} has {bytes} bytes, more than {TRACE_BYTES_MAX}: cut it shorter", path.display())]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-        /// Its size.
-        bytes: u64,
-    },
-    /// Invalid row.
-    #[error("{} line {line}: {why}", path.display())]
-    Row {
-        /// The file.
-        path: PathBuf,
-        /// Line number, from 1.
-        line: usize,
-        /// Error and the valid form.
-        why: String,
-    },
+impl From<PathBuf> for Trace {
+    fn from(file: PathBuf) -> Self {
+        let rows = Arc::default();
+        Self { file, rows }
+    }
+}
+
+impl From<Trace> for PathBuf {
+    fn from(trace: Trace) -> Self {
+        trace.file
+    }
 }
 
 impl fmt::Debug for Trace {
@@ -75,32 +55,26 @@ impl fmt::Debug for Trace {
 impl Trace {
     /// Reads a CSV file with the columns `time_ms,delay_ms,lost`; a relative path starts at `folder`. The delay
     /// of a lost packet may be empty.
-    pub fn read(file: &Path, folder: &Path) -> Result<Self, TraceError> {
-        let path = folder.join(file);
-        let text = text_file::read(&path, TRACE_BYTES_MAX).map_err(|e| {
-            let path = path.clone();
-            match e {
-                TextFileError::Read(why) => TraceError::Read { path, why },
-                TextFileError::TooLarge { bytes } => TraceError::TooLarge { path, bytes },
-            }
-        })?;
-        let rows = rows_of(&text).map_err(|(line, why)| TraceError::Row {
-            path: path.clone(),
-            line,
-            why,
-        })?;
-        Ok(Self {
-            file: file.to_owned(),
-            rows: rows.into(),
-        })
+    pub fn read(file: &Path, folder: &Path) -> Result<Self, String> {
+        let mut trace = Self::from(file.to_owned());
+        trace.load(folder)?;
+        Ok(trace)
     }
 
-    /// Its rows.
+    /// Reads the rows of a trace that a profile names.
+    pub(super) fn load(&mut self, folder: &Path) -> Result<(), String> {
+        let path = folder.join(&self.file);
+        let text = input_file::read(&path, "trace", TRACE_BYTES_MAX, "cut it shorter")?;
+        let rows = rows_of(&text);
+        let rows = rows.map_err(|(line, why)| format!("{} line {line}: {why}", path.display()))?;
+        self.rows = rows.into();
+        Ok(())
+    }
+
     pub fn rows(&self) -> &[TraceRow] {
         &self.rows
     }
 
-    /// Period, microseconds.
     pub fn period_us(&self) -> u64 {
         match *self.rows {
             [ref first, .., ref before, ref last] => {

@@ -4,22 +4,17 @@ use palpate_haptics::ContactModel;
 
 /// Relative residual of a check. A third of it changes forces on the thigh by 0.5 %.
 pub(super) const TOLERANCE: f64 = 1e-2;
-
-/// Maximum iterations of a check.
 pub(super) const ITERATIONS: usize = 30;
 
-/// Statistics of the checks.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Checks {
     pub(super) count: usize,
-    /// Largest relative residual.
     pub(super) residual_max: f64,
     /// Sums of squares per hand: force change by the checks, and force, N².
     squares: [[f64; 2]; 2],
 }
 
 impl Checks {
-    /// Records a check: its residual, and the forces on both hands before and after it.
     pub(super) fn note(
         &mut self,
         residual: f64,

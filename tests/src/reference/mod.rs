@@ -24,6 +24,7 @@ use palpate_protocol::request::CutRequest;
 use palpate_protocol::{OperationId, ParticipantId, ServerTime, TopologyHash};
 use palpate_site::{Replica, ReplicaError, tissue_stroke};
 use palpate_tissue::{Model, TopologyHash as TissueHash, Vec3, cut, to_rest};
+use serde::{Deserialize, Serialize};
 
 use crate::force_error::ForcePoint;
 use seat::Seat;
@@ -43,32 +44,20 @@ pub const SOLVE_AT_LEAST: i64 = 20;
 /// 57,000 nodes by 0.7 and 2.4 % over scripts of 20 s; with 128, by 0.6 and 1.8 %.
 pub const CHECKS: usize = 96;
 
-/// Failure of a reference run.
 #[derive(Debug, thiserror::Error)]
 pub enum ReferenceError {
-    /// The simulated hand failed.
     #[error("the simulated hand of the reference failed: {0}")]
     Hand(#[from] DeviceFault),
-    /// The cut failed.
     #[error("the cut of the reference failed: {0}")]
     Cut(String),
-    /// The caller requested termination.
     #[error("the reference was interrupted at {:.0} % of its work", .0 * 100.0)]
     Stopped(f64),
-    /// The recording cannot be replayed.
     #[error("the recording of {name} can not be replayed: {what}")]
-    Recording {
-        /// The participant.
-        name: String,
-        /// Cause.
-        what: String,
-    },
-    /// The replica failed.
+    Recording { name: String, what: String },
     #[error("the tissue of the reference failed: {0}")]
     Replica(#[from] ReplicaError),
 }
 
-/// Reference forces of the two trainees.
 #[derive(Debug, Clone)]
 pub struct Reference {
     /// Force and position per trainee, in script order, every millisecond of script.
@@ -79,20 +68,16 @@ pub struct Reference {
     pub strokes: Vec<CutStroke>,
     /// Largest distance between a hand's own stroke and the stroke cut in its place, m.
     pub cut_apart_m: f64,
-    /// Final topology.
     pub topology_hash: TissueHash,
-    /// Quality of the result.
     pub quality: Quality,
 }
 
-/// Quality of a reference.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Quality {
     /// Solves near the tools.
     pub solves: usize,
     /// Checks: converged solves of the whole tissue.
     pub checks: usize,
-    /// The largest relative residual of a check.
     pub residual_max: f64,
     /// Rms force change by the checks in percent, per hand. The error grows up to this between two checks, so
     /// this is an upper estimate.
@@ -109,35 +94,6 @@ pub fn run(
     model: &Arc<Model>,
     scripts: [&Script; 2],
     cuts: &[CutStroke],
-    progress: impl FnMut(f64) -> bool,
-) -> Result<Reference, ReferenceError> {
-    run_with(model, scripts, cuts, &Effort::default(), progress)
-}
-
-/// Effort of a reference.
-#[derive(Debug, Clone, Copy)]
-pub struct Effort {
-    /// Tool motion that triggers a solve, m.
-    pub moved_m: f64,
-    /// Converged solves of the whole tissue.
-    pub checks: usize,
-}
-
-impl Default for Effort {
-    fn default() -> Self {
-        Self {
-            moved_m: MOVED_M,
-            checks: CHECKS,
-        }
-    }
-}
-
-/// Like [`run`] with another effort, to measure its influence on the result.
-pub fn run_with(
-    model: &Arc<Model>,
-    scripts: [&Script; 2],
-    cuts: &[CutStroke],
-    effort: &Effort,
     mut progress: impl FnMut(f64) -> bool,
 ) -> Result<Reference, ReferenceError> {
     let seats = [
@@ -147,9 +103,9 @@ pub fn run_with(
     let end_s = scripts[0].end_s().max(scripts[1].end_s());
     let end_us = LEAD_US + (end_s * 1e6) as i64;
     let pace = Pace {
-        moved_m: effort.moved_m,
+        moved_m: MOVED_M,
         at_least: SOLVE_AT_LEAST,
-        check_every: (end_s * 1e3 / effort.checks.max(1) as f64) as i64,
+        check_every: (end_s * 1e3 / CHECKS as f64) as i64,
     };
     let replicas = vec![Replica::new(Arc::clone(model), true)];
     let mut hands = TwoHands::new(seats, replicas, pace, cuts);

@@ -19,7 +19,6 @@ use crate::force_error::ForcePoint;
 /// Offset against rounding of session times: far below a tick, s.
 const EARLY_S: f64 = 1e-7;
 
-/// A simulated trainee.
 pub(super) struct Seat {
     hand: Box<dyn HapticDevice>,
     chain: Box<Chain>,
@@ -105,12 +104,10 @@ impl Seat {
         })
     }
 
-    /// Script time in seconds at a run time.
     pub(super) fn script_s(&self, us: i64) -> f64 {
         (us - self.script_us) as f64 * 1e-6
     }
 
-    /// Simulates the hand and its chain for one millisecond.
     pub(super) fn tick(&mut self, us: i64) -> Result<Sample, DeviceFault> {
         let now = DeviceTime::from_micros(us);
         let sample = self.hand.read(now)?;

@@ -12,13 +12,10 @@ use super::check::{self, Checks};
 use super::seat::Seat;
 use super::{Quality, Reference, ReferenceError, apart_m, operation, stroke_at_rest};
 
-/// Tick of hands and chains, µs.
 const TICK_US: i64 = 1000;
 
 /// Minimum ticks between two solves: those of a session.
 const SOLVE_EVERY: i64 = 4;
-
-/// Ticks between two progress calls.
 const PROGRESS_EVERY: i64 = 20;
 
 /// Maximum iterations of a solve near the tools.
@@ -27,14 +24,11 @@ const ITERATIONS: usize = 4;
 /// Residual at which a solve near the tools ends.
 const TOLERANCE: f64 = 2e-2;
 
-/// Solve schedule.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pace {
-    /// Tool motion that triggers a solve, m.
     pub(super) moved_m: f64,
     /// Maximum ticks since the last solve.
     pub(super) at_least: i64,
-    /// Ticks between two checks.
     pub(super) check_every: i64,
 }
 
@@ -47,13 +41,11 @@ impl Pace {
     };
 }
 
-/// Both hands and their tissue.
 pub(super) struct TwoHands {
     pub(super) seats: [Seat; 2],
     /// One replica for both hands, or one each.
     replicas: Vec<Replica>,
     pace: Pace,
-    /// Tool poses at the last solve.
     solved: [ToolAt; 2],
     solves: usize,
     checked: i64,

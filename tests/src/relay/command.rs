@@ -1,7 +1,6 @@
 //! `palpate-lab relay`.
 
 use std::net::SocketAddr;
-use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -38,7 +37,6 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// Checks an optional number of seconds.
 fn seconds(name: &str, given: Option<f64>) -> Result<Option<Duration>, String> {
     match given {
         Some(s) if !(1e-3..1e9).contains(&s) => Err(format!(
@@ -48,12 +46,10 @@ fn seconds(name: &str, given: Option<f64>) -> Result<Option<Duration>, String> {
     }
 }
 
-/// Runs the relay until its time is over or Ctrl-C.
-pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
+pub(crate) fn run(arguments: &Arguments) -> Result<bool, String> {
     let duration = seconds("--duration", arguments.duration)?;
     let rebind_every = seconds("--rebind-every", arguments.rebind_every)?;
-    let interrupt =
-        Interrupt::listen().map_err(|e| format!("cannot install the signal handlers: {e}"))?;
+    let interrupt = Interrupt::listen()?;
     let profile = arguments.profile.clone();
     let relay = Relay::start(arguments.listen, arguments.to, profile, arguments.seed)
         .map_err(|e| format!("cannot listen on {}: {e}", arguments.listen))?;
@@ -76,7 +72,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
             rebound = Instant::now();
             let clients = relay.stats().clients;
             for flow in 0..clients as usize {
-                relay.rebind(flow).map_err(|e| e.to_string())?;
+                relay.rebind(flow)?;
             }
         }
     }
@@ -106,5 +102,5 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode, String> {
             print_line(&format!("  {name:<5}{way}"))?;
         }
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(true)
 }

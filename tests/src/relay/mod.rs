@@ -17,6 +17,6 @@ mod delay_tests;
 #[cfg(test)]
 mod tests;
 
-pub use crate::network::{Direction, Profile};
-pub use socket::{CLIENTS_MAX, QUEUE_MAX_PACKETS, RebindError, Relay};
-pub use stats::{DirectionStats, RelayStats};
+pub use crate::network::Profile;
+pub use socket::Relay;
+pub use stats::RelayStats;

@@ -15,7 +15,8 @@ use std::time::{Duration, Instant};
 
 use palpate_transport::threads::{self, ThreadClass};
 
-use super::stats::{Histogram, RelayStats};
+use super::stats::RelayStats;
+use crate::histogram::StepHistogram;
 use crate::network::{Arrivals, Direction, EventQueue, Path, Profile};
 
 /// Maximum packets in flight; more are dropped and counted as overflowed. At 1200 B this is 80 MB, and 300 ms
@@ -28,8 +29,6 @@ pub const CLIENTS_MAX: usize = 64;
 
 /// Stop check interval of the receiving threads.
 const STOP_PERIOD: Duration = Duration::from_millis(50);
-
-/// Maximum UDP payload.
 const PACKET_MAX_BYTES: usize = 65_536;
 
 /// A running relay. Dropping it stops it.
@@ -39,31 +38,9 @@ pub struct Relay {
     threads: Vec<JoinHandle<()>>,
 }
 
-/// Failure to change the address of a flow.
-#[derive(Debug, thiserror::Error)]
-pub enum RebindError {
-    /// Unknown flow.
-    #[error("there is no flow {flow}: the relay has seen {flows} clients, and the first is flow 0")]
-    NoFlow {
-        /// The requested flow.
-        flow: usize,
-        /// Clients so far.
-        flows: usize,
-    },
-    /// No socket available.
-    #[error("no socket for a new address of flow {flow}: {why}")]
-    Socket {
-        /// The flow.
-        flow: usize,
-        /// Error of the operating system.
-        why: io::Error,
-    },
-}
-
 struct Shared {
     profile: Profile,
     seed: u64,
-    /// Address of the server.
     server: SocketAddr,
     /// Start of the network.
     began: Instant,
@@ -78,11 +55,11 @@ struct Queue {
     parcels: EventQueue<Instant, Parcel>,
     overflowed: u64,
     delivered: u64,
-    delays: Histogram,
-    lateness: Histogram,
+    /// Times in ms, in steps of 0.1 ms.
+    delays: StepHistogram<10>,
+    lateness: StepHistogram<10>,
 }
 
-/// A packet in flight.
 struct Parcel {
     arrived: Instant,
     way: Arc<Way>,
@@ -91,7 +68,6 @@ struct Parcel {
     bytes: Vec<u8>,
 }
 
-/// A client.
 struct Flow {
     up: Arc<Way>,
     down: Arc<Way>,
@@ -99,13 +75,11 @@ struct Flow {
     rebinds: AtomicU64,
 }
 
-/// The thread that receives the server's packets for one client.
 struct Answers {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// One direction of one flow.
 struct Way {
     /// Sending socket: that of the flow towards the server, which changes with its address, or the one that all
     /// clients send to.
@@ -125,7 +99,6 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Relay {
-    /// Listens on `listen`, and relays to `to` and back.
     pub fn start(
         listen: SocketAddr,
         to: SocketAddr,
@@ -160,7 +133,6 @@ impl Relay {
         })
     }
 
-    /// Listening address, with the actual port.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
     }
@@ -168,13 +140,15 @@ impl Relay {
     /// Changes the address of a client as seen by the server, as after a NAT rebinding or a change of the
     /// network interface. Packets to the old address are lost, and no others. Flows count from 0 in the order
     /// of their first packet. Returns the new address.
-    pub fn rebind(&self, flow: usize) -> Result<SocketAddr, RebindError> {
+    pub fn rebind(&self, flow: usize) -> Result<SocketAddr, String> {
         let (flows, found) = {
             let flows = lock(&self.shared.flows);
             (flows.len(), flows.get(flow).cloned())
         };
-        let found = found.ok_or(RebindError::NoFlow { flow, flows })?;
-        let socket = |why| RebindError::Socket { flow, why };
+        let found = found.ok_or_else(|| {
+            format!("there is no flow {flow}: the relay has seen {flows} clients, and the first is flow 0")
+        })?;
+        let socket = |why| format!("no socket for a new address of flow {flow}: {why}");
         let upstream = towards(self.shared.server).map_err(socket)?;
         let address = upstream.local_addr().map_err(socket)?;
         let answers = answers(&self.shared, &upstream, &found.down).map_err(socket)?;
@@ -185,7 +159,6 @@ impl Relay {
         Ok(address)
     }
 
-    /// Statistics so far.
     pub fn stats(&self) -> RelayStats {
         let mut stats = RelayStats {
             profile: self.shared.profile.name.clone(),
@@ -206,10 +179,10 @@ impl Relay {
         RelayStats {
             overflowed: queue.overflowed,
             delivered: queue.delivered,
-            delay_mean_ms: queue.delays.mean_ms(),
-            delay_p50_ms: queue.delays.quantile_ms(0.5),
-            delay_p99_ms: queue.delays.quantile_ms(0.99),
-            lateness_p99_ms: queue.lateness.quantile_ms(0.99),
+            delay_mean_ms: queue.delays.mean(),
+            delay_p50_ms: queue.delays.quantile(0.5),
+            delay_p99_ms: queue.delays.quantile(0.99),
+            lateness_p99_ms: queue.lateness.quantile(0.99),
             loss: stats.total.dropped as f64 / stats.total.sent.max(1) as f64,
             ..stats
         }
@@ -285,7 +258,6 @@ fn listen_to_clients(shared: &Arc<Shared>, socket: &Arc<UdpSocket>) {
     });
 }
 
-/// A socket towards the server with a new local address.
 fn towards(server: SocketAddr) -> io::Result<Arc<UdpSocket>> {
     let any: SocketAddr = if server.is_ipv4() {
         (Ipv4Addr::UNSPECIFIED, 0).into()
@@ -298,7 +270,6 @@ fn towards(server: SocketAddr) -> io::Result<Arc<UdpSocket>> {
     Ok(Arc::new(socket))
 }
 
-/// The socket of one client towards the server, and its receiving thread.
 fn open_flow(
     shared: &Arc<Shared>,
     listening: &Arc<UdpSocket>,
@@ -326,7 +297,6 @@ fn open_flow(
     }))
 }
 
-/// Receives the server's packets for one client.
 fn answers(
     shared: &Arc<Shared>,
     upstream: &Arc<UdpSocket>,
@@ -351,7 +321,6 @@ fn answers(
 }
 
 impl Shared {
-    /// Accepts a packet, decides its fate, and queues it.
     fn take(&self, way: &Arc<Way>, bytes: &[u8]) {
         let arrived = Instant::now();
         let (n, arrivals) = {
@@ -385,7 +354,6 @@ impl Shared {
         }
     }
 
-    /// Sends due packets until stopped.
     fn deliver(&self) {
         let mut queue = lock(&self.queue);
         while !self.stop.load(Ordering::Relaxed) {
@@ -415,12 +383,16 @@ fn micros(d: Duration) -> u64 {
     u64::try_from(d.as_micros()).unwrap_or(u64::MAX)
 }
 
+fn millis(d: Duration) -> f64 {
+    d.as_secs_f64() * 1e3
+}
+
 impl Queue {
     fn note_delivery(&mut self, parcel: &Parcel, due: Instant, now: Instant) {
         self.delays
-            .record(micros(now.saturating_duration_since(parcel.arrived)));
+            .add(millis(now.saturating_duration_since(parcel.arrived)));
         self.lateness
-            .record(micros(now.saturating_duration_since(due)));
+            .add(millis(now.saturating_duration_since(due)));
         self.delivered += 1;
         let newest = parcel
             .way

@@ -19,7 +19,6 @@ pub(crate) struct Endpoint {
 }
 
 impl Endpoint {
-    /// A session that requests to join.
     pub(crate) fn new(seat: usize, hello: Hello, clock: SiteClock) -> Result<Self, String> {
         let session = ClientSession::new(hello, clock.at(0)).map_err(|e| e.to_string())?;
         Ok(Self {
@@ -31,7 +30,6 @@ impl Endpoint {
         })
     }
 
-    /// Receives a packet.
     pub(super) fn handle(&mut self, arrived: &Arrived<Vec<u8>>, at_us: i64) {
         if !self.is_open {
             return;
@@ -43,7 +41,6 @@ impl Endpoint {
         }
     }
 
-    /// Handles the session's timeout if it is due.
     pub(crate) fn handle_timeout(&mut self, at_us: i64) {
         let now = self.clock.at(at_us);
         if self.is_open && self.session.poll_timeout().is_some_and(|due| due <= now) {
@@ -51,7 +48,6 @@ impl Endpoint {
         }
     }
 
-    /// Sends the session's output.
     pub(super) fn send(&mut self, links: &mut Links<Vec<u8>>, at_us: i64) {
         if !self.is_open {
             return;
@@ -69,7 +65,6 @@ impl Endpoint {
         (self.session, self.is_open) = (session, true);
     }
 
-    /// The next event of the session.
     pub(super) fn poll_event(&mut self) -> Option<ClientEvent> {
         self.is_open.then(|| self.session.poll_event()).flatten()
     }

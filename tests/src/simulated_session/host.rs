@@ -11,16 +11,13 @@ use std::sync::Arc;
 use palpate_client::realtime::worked;
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::session::{PeerDatagram, PeerEvent, Picture, ServerPeer};
-use palpate_protocol::{
-    Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role, ServerTime, Span, TopologyHash,
-};
+use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role, ServerTime, Span};
 use palpate_room::{Output, PeerKey, RoomConfig, SimulatedRoom};
 use palpate_tissue::Model;
 
 use super::links::{Arrived, Links};
 use crate::network::Direction;
 
-/// The grant of all simulated participants.
 pub(crate) const GRANT: Grant = Grant(*b"a rehearsal only");
 
 /// Stride between the connection numbers of one seat.
@@ -42,13 +39,10 @@ pub struct Round {
     pub room_us: i64,
     /// Delay of the tick's start, µs of virtual time.
     pub late_us: i64,
-    /// Iterations of the solver.
     pub iterations: usize,
-    /// Relative residual after the solve.
     pub residual: f64,
 }
 
-/// Settings of the room of a simulation.
 pub(crate) fn room_config(
     seats: usize,
     tick_hz: u32,
@@ -71,16 +65,14 @@ pub(crate) fn room_config(
     }
 }
 
-/// The server.
 pub(crate) struct Host {
-    room: SimulatedRoom,
+    pub(super) room: SimulatedRoom,
     peers: BTreeMap<PeerKey, ServerPeer>,
-    /// The current connection of each seat.
     current: Vec<PeerKey>,
     /// Events that wait for the room worker.
     heard: Vec<(PeerKey, PeerEvent, ServerTime)>,
     /// Shapes of the last [`PICTURES_MAX`] ticks, kept if a thin spectator is subscribed.
-    pictures: BTreeMap<ServerTime, Arc<Picture>>,
+    pub(super) pictures: BTreeMap<ServerTime, Arc<Picture>>,
     /// CPU time of the solver per tick; `None` for a server whose work takes no time.
     solver_limit: Option<Span>,
     /// Time at which the room worker becomes idle.
@@ -241,19 +233,8 @@ impl Host {
         self.round = Round::default();
     }
 
-    /// Cost of every period.
     pub(crate) fn into_rounds(self) -> Vec<Round> {
         self.rounds
-    }
-
-    /// Number of demotions to spectator because of lateness.
-    pub(super) fn demotions(&self) -> u64 {
-        self.room.demotion_count()
-    }
-
-    /// The server's shapes of the last ticks.
-    pub(super) fn pictures(&self) -> &BTreeMap<ServerTime, Arc<Picture>> {
-        &self.pictures
     }
 
     /// Bytes sent to a thin spectator so far, including protocol overhead.
@@ -261,10 +242,5 @@ impl Host {
         let peer = self.peers.get(&self.current[seat]);
         let stats = peer.and_then(ServerPeer::picture_stats);
         stats.map_or(0, |s| s.bytes)
-    }
-
-    /// Version and hash of the authoritative topology.
-    pub(super) fn topology(&self) -> (u32, TopologyHash) {
-        self.room.topology()
     }
 }

@@ -9,6 +9,7 @@
 
 use std::collections::BTreeMap;
 
+use clap::ValueEnum;
 use serde::Serialize;
 
 use crate::network::{Direction, EventQueue, Path, Profile};
@@ -17,39 +18,23 @@ use crate::network::{Direction, EventQueue, Path, Profile};
 /// bytes.
 const ACKNOWLEDGES: u8 = 0x08;
 const ACKNOWLEDGEMENT_BYTES: u16 = 6;
-
-/// Largest segment of a stream of bytes.
 const SEGMENT_BYTES: usize = 1100;
 
 /// Maximum number of logged packets: one hour of one participant.
 const SENT_MAX: usize = 4_000_000;
 
-/// Purpose of a packet.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
-    /// The operations stream.
     Operations,
-    /// Tool motion.
     Motion,
-    /// Node positions.
     Corrections,
-    /// Clock probes and replies.
     Clock,
     /// Delay reports and heartbeats.
     Delays,
 }
 
 impl Part {
-    /// All purposes.
-    pub const ALL: [Self; 5] = [
-        Self::Operations,
-        Self::Motion,
-        Self::Corrections,
-        Self::Clock,
-        Self::Delays,
-    ];
-
     /// The purpose of a datagram, from the kind in its first byte.
     fn of_datagram(bytes: &[u8]) -> Self {
         match bytes.first().map_or(0, |b| b & 0x07) {
@@ -61,16 +46,12 @@ impl Part {
     }
 }
 
-/// A packet that was sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sent {
     /// Send time, µs of true time.
     pub at_us: u64,
-    /// Seat of the session.
     pub seat: usize,
-    /// Uplink or downlink.
     pub direction: Direction,
-    /// Purpose.
     pub part: Part,
     /// Bytes of the acknowledgement it carries.
     pub acknowledgement: u16,
@@ -78,9 +59,7 @@ pub struct Sent {
     pub bytes: u16,
 }
 
-/// Content of a packet.
 pub(crate) trait Payload {
-    /// Size in bytes.
     fn bytes(&self) -> usize;
 
     /// Purpose of a datagram with this content, and the bytes of its acknowledgement.
@@ -108,13 +87,11 @@ impl Payload for Vec<u8> {
 pub(crate) struct Delivery<P> {
     /// True time, µs.
     pub(crate) at_us: i64,
-    /// Seat of the site.
     pub(crate) seat: usize,
     pub(crate) direction: Direction,
     pub(crate) arrived: Arrived<P>,
 }
 
-/// Content of an arrival.
 #[derive(Debug)]
 pub(crate) enum Arrived<P> {
     Datagram(P),
@@ -122,7 +99,6 @@ pub(crate) enum Arrived<P> {
     Stream(Vec<P>),
 }
 
-/// A packet in flight.
 #[derive(Debug)]
 enum Packet<P> {
     Datagram(P),
@@ -139,7 +115,6 @@ struct Flight<P> {
     is_lost: bool,
 }
 
-/// One direction of one site's link.
 #[derive(Debug)]
 struct Flow<P> {
     path: Path,
@@ -151,20 +126,16 @@ struct Flow<P> {
     bytes: u64,
 }
 
-/// The links of all sites, in virtual time.
 #[derive(Debug)]
 pub(crate) struct Links<P> {
     /// Uplink and downlink of each seat.
     flows: Vec<[Flow<P>; 2]>,
     queue: EventQueue<i64, Flight<P>>,
-    /// Retransmission timeout of a lost segment, µs.
     resend_us: i64,
-    /// The sent packets.
     log: Vec<Sent>,
 }
 
 impl<P: Payload> Links<P> {
-    /// One pair of flows per network profile.
     pub(crate) fn new(profiles: &[&Profile], seed: u64, resend_us: i64) -> Self {
         let pair = |(seat, profile): (usize, &&Profile)| {
             [Direction::Up, Direction::Down].map(|direction| Flow {
@@ -202,7 +173,6 @@ impl<P: Payload> Links<P> {
         self.transmit(seat, direction, at_us, Packet::Datagram(data));
     }
 
-    /// Sends the next segment of the stream.
     pub(crate) fn send_segment(&mut self, seat: usize, direction: Direction, at_us: i64, data: P) {
         let flow = self.flow(seat, direction);
         let n = flow.next_out;
@@ -244,7 +214,6 @@ impl<P: Payload> Links<P> {
         self.queue.push(next_us, flight);
     }
 
-    /// The next delivery by `until_us`.
     pub(crate) fn pop_due(&mut self, until_us: i64) -> Option<Delivery<P>> {
         loop {
             let (at_us, flight) = self.queue.pop_due(until_us)?;
@@ -289,14 +258,12 @@ impl<P: Payload> Links<P> {
             .sum()
     }
 
-    /// Takes the logged packets, in order.
     pub(crate) fn take_log(&mut self) -> Vec<Sent> {
         std::mem::take(&mut self.log)
     }
 }
 
 impl Links<Vec<u8>> {
-    /// Sends bytes of the stream.
     pub(crate) fn send_stream(
         &mut self,
         seat: usize,

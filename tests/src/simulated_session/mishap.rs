@@ -9,16 +9,12 @@ use crate::network::Profile;
 /// A fault of one trainee; seats count from 0.
 #[derive(Debug, Clone)]
 pub enum SessionFault {
-    /// The trainee has its own network.
     Network {
-        /// Seat of the trainee.
         seat: usize,
-        /// Profile of that network.
         profile: Box<Profile>,
     },
     /// The trainee applies its next cuts at a shifted position, so its topology diverges.
     OtherCut {
-        /// Seat of the trainee.
         seat: usize,
         /// Shift of the stroke, m.
         by_m: [f64; 3],
@@ -27,19 +23,15 @@ pub enum SessionFault {
     },
     /// The trainee receives other tools at shifted positions for a while, so its shape diverges.
     OtherTools {
-        /// Seat of the trainee.
         seat: usize,
-        /// Shift, m.
         by_m: [f64; 3],
         /// Start after the first view, s.
         from_s: f64,
-        /// End after the first view, s.
         until_s: f64,
     },
 }
 
 impl SessionFault {
-    /// Seat of the affected trainee.
     pub(super) fn seat(&self) -> usize {
         match self {
             Self::Network { seat, .. }

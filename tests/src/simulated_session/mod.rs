@@ -13,7 +13,7 @@
 //! | simulation | participants | host |
 //! | --- | --- | --- |
 //! | [`SimulatedSession`] | trainees (hand, force loop, tissue; or motion only) and thin spectators | its work takes no time |
-//! | [`LoadTest`](crate::load_test::LoadTest) | members, motion only | its work takes CPU time |
+//! | `LoadTest` | members, motion only | its work takes CPU time |
 //! | [`Alignment`](crate::alignment::Alignment) | two sites: hand, clock, delay estimate, timelines | playout delay of the group, or a prediction |
 //!
 //! An alignment has the links and clocks of the others, and no room: its subject is time compensation alone.
@@ -34,7 +34,7 @@ use std::sync::Arc;
 
 use palpate_client::Recording;
 use palpate_device::Script;
-use palpate_protocol::operation::CompensationSettings;
+use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use palpate_site::SiteCounters;
 use palpate_tissue::Model;
 use serde::Serialize;
@@ -56,49 +56,44 @@ const BEGIN_WITHIN_US: i64 = 20_000_000;
 /// Time after the scripts in which packets in flight arrive and are shown, µs.
 const SETTLE_US: i64 = 1_500_000;
 
-/// Configuration of a simulated session.
 #[derive(Debug, Clone)]
 pub struct SimulatedSession<'a> {
-    /// The tissue.
     pub model: &'a Arc<Model>,
     /// One trainee per script, named by its index.
     pub scripts: &'a [&'a Script],
     /// Trainees only move; they render no force and solve no tissue. This is faster where only the server's
     /// shape counts.
     pub motion_only: bool,
-    /// Number of thin spectators.
     pub thin_spectator_count: usize,
-    /// The network between the server and each participant.
     pub profile: &'a Profile,
-    /// Seed of the networks and the clocks.
     pub seed: u64,
-    /// Time compensation settings.
     pub compensation: CompensationSettings,
-    /// Server ticks per second.
     pub tick_hz: u32,
+}
+
+/// Adaptive compensation with this initial and maximum delay, µs.
+pub fn adaptive(initial_delay_us: u32, cap_us: u32) -> CompensationSettings {
+    CompensationSettings {
+        mode: CompensationMode::Adaptive { cap_us },
+        initial_delay_us,
+    }
 }
 
 /// Mean UDP payload of one participant, bytes/s, without QUIC overhead.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct BytesPerSecond {
-    /// To the server.
     pub up: f64,
-    /// From the server.
     pub down: f64,
 }
 
-/// Results of a simulated session.
 #[derive(Debug, Clone)]
 pub struct SessionResult {
     /// Recording of each trainee, in true time.
     pub recordings: Vec<Recording>,
-    /// Results of each thin spectator.
     pub thin_results: Vec<ThinSpectatorResult>,
     /// Version and hash of the topology: first the server's, then each participant's.
     pub topologies: Vec<(u32, u64)>,
-    /// Site counters of each trainee.
     pub counters: Vec<SiteCounters>,
-    /// Number of demotions to spectator.
     pub demotions: u64,
     /// Mean over the trainees, from the start of the scripts.
     pub bytes_per_s: BytesPerSecond,
@@ -111,7 +106,6 @@ pub struct SessionResult {
 }
 
 impl SessionResult {
-    /// Whether all participants have the server's topology.
     pub fn hashes_equal(&self) -> bool {
         self.topologies.windows(2).all(|w| w[0] == w[1])
     }
@@ -124,7 +118,6 @@ impl SimulatedSession<'_> {
         self.run_with(&[], progress)
     }
 
-    /// Like [`Self::run`], with injected faults.
     pub fn run_with(
         &self,
         session_faults: &[SessionFault],
@@ -188,11 +181,11 @@ impl SimulatedSession<'_> {
         }
         let seconds = (at_us - began_us.unwrap_or(0)) as f64 * 1e-6;
         let share = 1.0 / (seconds.max(1e-3) * trainees.len().max(1) as f64);
-        let (version, hash) = host.topology();
+        let (version, hash) = host.room.topology();
         let own = trainees.iter().filter_map(Trainee::topology);
         let own = own.chain(thin_spectators.iter().filter_map(ThinSpectator::topology));
         let topologies = std::iter::once((version, hash.0)).chain(own).collect();
-        let last = host.pictures().last_key_value().map(|(_, p)| p.as_ref());
+        let last = host.pictures.last_key_value().map(|(_, p)| p.as_ref());
         Ok(SessionResult {
             thin_results: thin_spectators
                 .iter_mut()
@@ -200,7 +193,7 @@ impl SimulatedSession<'_> {
                 .collect(),
             topologies,
             counters: trainees.iter().map(Trainee::counters).collect(),
-            demotions: host.demotions(),
+            demotions: host.room.demotion_count(),
             recordings: trainees.into_iter().map(|t| t.recording).collect(),
             bytes_per_s: BytesPerSecond {
                 up: links.bytes_sent(Direction::Up, trainee_count) as f64 * share,
@@ -212,7 +205,6 @@ impl SimulatedSession<'_> {
         })
     }
 
-    /// The network profile of each seat.
     fn profiles<'a>(&'a self, session_faults: &'a [SessionFault]) -> Vec<&'a Profile> {
         let mut profiles = vec![self.profile; self.scripts.len() + self.thin_spectator_count];
         for mishap in session_faults {

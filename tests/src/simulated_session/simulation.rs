@@ -7,7 +7,6 @@ use super::host::Host;
 use super::links::{Delivery, Links};
 use crate::network::{Direction, Profile};
 
-/// Simulation step, µs.
 const STEP_US: i64 = 1000;
 
 /// Retransmission timeout of a lost segment, µs: that of a transport with a round trip of 250 ms. The
@@ -16,7 +15,6 @@ const RESEND_US: i64 = 300_000;
 
 /// A participant of a simulation. Times are true times in µs.
 pub(crate) trait Participant {
-    /// Its protocol session.
     fn endpoint(&mut self) -> &mut Endpoint;
 
     /// Starts a new connection if it needs one; returns whether it did.
@@ -24,7 +22,6 @@ pub(crate) trait Participant {
         false
     }
 
-    /// Handles the events of its session.
     fn take_events(&mut self, at_us: i64);
 
     /// Simulates one step. The simulation sends the output of the session.
@@ -35,7 +32,6 @@ pub(crate) trait Participant {
 pub(crate) struct Simulation {
     pub(crate) host: Host,
     pub(crate) links: Links<Vec<u8>>,
-    /// True time, µs.
     pub(crate) at_us: i64,
 }
 
@@ -83,7 +79,6 @@ impl Simulation {
         }
     }
 
-    /// Advances the time by one step.
     pub(crate) fn advance(&mut self) {
         self.at_us += STEP_US;
     }

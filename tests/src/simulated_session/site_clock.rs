@@ -10,7 +10,6 @@ const DRIFT_PPM: f64 = 50.0;
 /// Maximum offset between two machines' monotonic clocks, s; each counts from its boot.
 const OFFSET_S: f64 = 1e6;
 
-/// A local clock with offset and drift.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SiteClock {
     offset_us: i64,
@@ -26,14 +25,12 @@ impl SiteClock {
         }
     }
 
-    /// The clock of a seat, reproducible from the seed.
     pub(crate) fn of(seed: u64, seat: usize) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed ^ (seat as u64 + 1).wrapping_mul(0x9e37_79b9));
         let offset_us = (rng.random_range(0.0..OFFSET_S) * 1e6) as i64;
         Self::new(offset_us, rng.random_range(-DRIFT_PPM..DRIFT_PPM) * 1e-6)
     }
 
-    /// Sets the clock forward or back.
     pub(crate) fn step(&mut self, by_us: i64) {
         self.offset_us += by_us;
     }

@@ -28,7 +28,6 @@ const LIVE_EVERY: u64 = 4;
 const COUNT_EVERY: u64 = 50;
 const COUNTS_PER_S: usize = 20;
 
-/// Accuracy and bandwidth of a thin spectator.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct ThinSpectatorResult {
     /// Distance of each displaced node from the server's position at the shown time.
@@ -39,19 +38,14 @@ pub struct ThinSpectatorResult {
     pub bits_per_s: f64,
     /// Maximum downlink rate over one second, bit/s.
     pub bits_per_s_max: f64,
-    /// Nodes received per second.
     pub nodes_per_s: f64,
-    /// Downlink bits per received node.
     pub bits_per_node: f64,
-    /// Maximum number of nodes waiting for bandwidth.
     pub waiting_max: u32,
-    /// Lag behind the shared time at the end, ms.
     pub lag_ms: f64,
     /// Views that were not compared: the server's shape was unknown or had another topology.
     pub not_compared: u64,
 }
 
-/// A spectator.
 pub(super) struct ThinSpectator {
     endpoint: Endpoint,
     model: Arc<Model>,
@@ -69,7 +63,6 @@ pub(super) struct ThinSpectator {
 }
 
 impl ThinSpectator {
-    /// A spectator that requests to join.
     pub(super) fn new(seat: usize, model: Arc<Model>, clock: SiteClock) -> Result<Self, String> {
         let hello = Hello {
             name: format!("spectator-{}", seat + 1),
@@ -157,7 +150,6 @@ impl ThinSpectator {
         }
     }
 
-    /// Version and hash of its topology; `None` before the join.
     pub(super) fn topology(&self) -> Option<(u32, u64)> {
         let topology = self.site.as_ref()?.replica().topology();
         Some((topology.version(), topology.hash().0))
@@ -192,7 +184,7 @@ impl Participant for ThinSpectator {
         self.endpoint.handle_timeout(at_us);
         self.take_events(at_us);
         if self.turns.is_multiple_of(LIVE_EVERY) {
-            self.live(at_us, host.pictures());
+            self.live(at_us, &host.pictures);
         }
         self.turns += 1;
         self.bytes = host.bytes_to(self.endpoint.seat);

@@ -32,7 +32,6 @@ const HAPTIC_EVERY: u64 = 4;
 /// How long a trainee tries to reconnect, as in the client.
 const PATIENCE: Span = Span::from_millis(60_000);
 
-/// A trainee.
 pub(super) struct Trainee {
     pub(super) endpoint: Endpoint,
     model: Arc<Model>,
@@ -57,7 +56,6 @@ pub(super) struct Trainee {
 }
 
 impl Trainee {
-    /// A trainee that follows a script and requests to join.
     pub(super) fn new(
         seat: usize,
         model: Arc<Model>,
@@ -147,7 +145,6 @@ impl Trainee {
         self.reconnector = Some(Reconnector::new(hello, welcome, PATIENCE, 0));
     }
 
-    /// Carries out the actions of the reconnector.
     fn act(&mut self, now: ClientTime) {
         while let Some(action) = self.reconnector.as_mut().and_then(Reconnector::poll_action) {
             match action {
@@ -221,12 +218,10 @@ impl Trainee {
         self.act(now);
     }
 
-    /// Counters of the site.
     pub(super) fn counters(&self) -> SiteCounters {
         self.site.as_ref().map(Site::counters).unwrap_or_default()
     }
 
-    /// Version and hash of its topology; `None` before the join.
     pub(super) fn topology(&self) -> Option<(u32, u64)> {
         let topology = self.site.as_ref()?.replica().topology();
         Some((topology.version(), topology.hash().0))
@@ -238,7 +233,6 @@ impl Participant for Trainee {
         &mut self.endpoint
     }
 
-    /// Opens the connection that the reconnector has requested.
     fn reconnect(&mut self, at_us: i64) -> bool {
         let Some((hello, delay)) = self.next_connection.take() else {
             return false;

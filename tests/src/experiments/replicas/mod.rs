@@ -12,7 +12,6 @@ mod tally;
 use std::sync::Arc;
 
 use palpate_device::Script;
-use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use palpate_tissue::Model;
 use rayon::prelude::*;
 use serde_json::json;
@@ -26,7 +25,7 @@ use crate::force_error::ForcePoint;
 use crate::network::{Jitter, Link, Profile};
 use crate::reference;
 use crate::scripts::Scripts;
-use crate::simulated_session::SimulatedSession;
+use crate::simulated_session::{SimulatedSession, adaptive};
 use tally::{SessionRecord, Tally};
 
 /// Default number of sessions per network. Each takes five seconds of CPU time, half of it for the
@@ -36,14 +35,8 @@ const SEEDS: u64 = 12;
 /// Maximum number of sessions per network with a force comparison; its reference takes as long as the
 /// session.
 const FELT: u64 = 100;
-
-/// Sessions between two progress reports.
 const CHUNK: u64 = 16;
-
-/// Length of the session's scripts, s.
 const SECONDS: f64 = 6.0;
-
-/// Server ticks per second.
 const TICK_HZ: u32 = 60;
 
 /// Maximum playout delay, µs. At 400 ms round trip to the server, an event is 400 ms old when it reaches
@@ -69,11 +62,7 @@ fn far(round_trip_ms: f64) -> Profile {
 /// Default round trips to the server, ms, and the index of the one that the summary reports.
 const ROUND_TRIPS_MS: [f64; 6] = [0.0, 50.0, 100.0, 200.0, 300.0, 400.0];
 const ASKED: usize = 3;
-
-/// Line colours of the networks.
 const COLOURS: [&str; 6] = [BLACK, SKY, GREEN, BLUE, PURPLE, ORANGE];
-
-/// Cells of the default tissue.
 pub(super) const SMALL_BLOCK: [usize; 3] = [18, 18, 6];
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
@@ -157,6 +146,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         figures,
         charts: vec![("replicas".to_owned(), chart)],
         tables: vec![("replicas".to_owned(), table)],
+        ..Outcome::default()
     })
 }
 
@@ -175,10 +165,7 @@ fn session(
         thin_spectator_count: 0,
         profile,
         seed: base.wrapping_mul(1_000_003).wrapping_add(seed),
-        compensation: CompensationSettings {
-            mode: CompensationMode::Adaptive { cap_us: CAP_US },
-            initial_delay_us: 100_000,
-        },
+        compensation: adaptive(100_000, CAP_US),
         tick_hz: TICK_HZ,
     };
     compared(
@@ -190,7 +177,6 @@ fn session(
     )
 }
 
-/// Compares a session with the reference of the same hand motions.
 fn compared(
     model: &Arc<Model>,
     scripts: &[&Script; 2],

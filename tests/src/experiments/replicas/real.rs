@@ -28,7 +28,7 @@ pub(super) fn sessions(
 ) -> Result<Tally, String> {
     let executable = std::env::current_exe()
         .map_err(|e| format!("cannot find this program's executable: {e}"))?;
-    let built = TestModel::of(Model::clone(model), bench.dir).map_err(|e| e.to_string())?;
+    let built = TestModel::of(Model::clone(model), bench.dir)?;
     let mut files = Vec::new();
     for (name, text) in NAMES.into_iter().zip(scripts) {
         let file = bench.dir.join(format!("{name}.toml"));

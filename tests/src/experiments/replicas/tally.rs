@@ -1,59 +1,18 @@
 //! Statistics over many sessions: distances of shapes and errors of forces.
 
-use hdrhistogram::Histogram;
 use palpate_client::Recording;
 use serde_json::{Value, json};
 
 use crate::bench::quantile_of_sorted;
 use crate::disagreement::{Disagreement, DisagreementPoint, each_node};
 use crate::force_error::{ForcePoint, difference, over_script};
+use crate::histogram::StepHistogram;
 use crate::network::Profile;
 use crate::simulated_session::{BytesPerSecond, SessionResult};
 
-/// Resolution of the distances, mm, and their number: up to 20 mm.
-const STEP_MM: f64 = 5e-4;
-const STEPS: u64 = 40_000;
-
-/// Limit of the shapes' 95th percentile distance, mm.
 const SHAPE_P95_MM: f64 = 0.1;
-/// Limit of the relative rms force error.
 const FORCE_RMS: f64 = 0.05;
 
-/// Histogram of distances.
-#[derive(Debug, Clone)]
-struct Distances {
-    steps: Histogram<u64>,
-    max: f64,
-}
-
-impl Default for Distances {
-    fn default() -> Self {
-        // Five digits resolve every step.
-        let steps = Histogram::new_with_max(STEPS, 5).expect("the bounds are valid");
-        Self { steps, max: 0.0 }
-    }
-}
-
-impl Distances {
-    fn add(&mut self, mm: f64) {
-        self.steps
-            .saturating_record(((mm / STEP_MM) as u64).min(STEPS - 1));
-        self.max = self.max.max(mm);
-    }
-
-    fn join(mut self, other: &Self) -> Self {
-        self.steps += &other.steps;
-        self.max = self.max.max(other.max);
-        self
-    }
-
-    /// Upper edge of the step that reaches the share `q`.
-    fn quantile(&self, q: f64) -> f64 {
-        ((self.steps.value_at_quantile(q) + 1) as f64 * STEP_MM).min(self.max)
-    }
-}
-
-/// Force errors during contact.
 #[derive(Debug, Clone, Default)]
 struct ForceErrors {
     /// Sums of `|F - F_ref|²` and `|F_ref|²`, N².
@@ -96,7 +55,6 @@ impl ForceErrors {
     }
 }
 
-/// A completed session of two trainees.
 pub(super) struct SessionRecord {
     pub(super) recordings: [Recording; 2],
     pub(super) hashes_equal: bool,
@@ -120,11 +78,11 @@ impl TryFrom<SessionResult> for SessionRecord {
     }
 }
 
-/// Statistics of the sessions over one network.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Tally {
     sessions: u64,
-    apart: Distances,
+    /// Distances in mm, in steps of 0.5 µm.
+    apart: StepHistogram<2000>,
     /// Errors against the replay of the same hand motions.
     felt: ForceErrors,
     /// Errors against a run of the scripts without a network.
@@ -191,7 +149,6 @@ impl Tally {
         }
     }
 
-    /// The statistics as JSON.
     pub(super) fn row(&mut self, profile: &Profile) -> Value {
         let n = self.sessions.max(1) as f64;
         let (p50, p95) = (self.apart.quantile(0.5), self.apart.quantile(0.95));
@@ -213,7 +170,6 @@ impl Tally {
         })
     }
 
-    /// Descriptions of the missed limits.
     fn missed(&self, profile: &Profile, shape_p95_mm: f64, force_rms: f64) -> Vec<String> {
         let mut missed = Vec::new();
         let mut miss = |what: String| missed.push(format!("{}: {what}", profile.name));
