@@ -14,7 +14,8 @@
 //! | simulate a whole session in virtual time: links, server, participants | [`simulated_session`] |
 //! | simulate the time compensation of two sites | [`alignment`] |
 //! | load a server with all its seats | [`load_test`] |
-//! | compare recordings | [`disagreement`], [`force_error`], [`dropout`], [`delay_figures`], [`cpu`] |
+//! | attack a server beside an honest session | [`attack`] |
+//! | compare recordings | [`disagreement`], [`force_error`], [`dropout`], [`delay_figures`], [`cpu`], [`memory`] |
 //! | judge a session | [`criteria`] |
 //! | measure the solver | [`mod@bench`] |
 //! | compare rendered and converged forces of a tool | [`scenario`], [`experiments`] |
@@ -25,6 +26,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod alignment;
+pub mod attack;
 pub mod bench;
 pub mod chart;
 pub mod cli;
@@ -40,6 +42,7 @@ pub mod force_error;
 pub mod hand;
 pub mod haptic_faults;
 pub mod load_test;
+pub mod memory;
 mod name_suggestion;
 pub mod network;
 pub mod plots;

@@ -7,6 +7,8 @@ use super::inputs::SEED;
 use super::registry::Experiment;
 use super::table::Column;
 use super::{Bench, Outcome, Table};
+use crate::attack::kinds::Attack;
+use crate::attack::{self, AttackOptions};
 use crate::bench::bytes::Bytes;
 use crate::bench::coding::Coding;
 use crate::bench::haptic_tick::HapticTick;
@@ -14,6 +16,7 @@ use crate::bench::press_cube::PressCube;
 use crate::haptic_faults;
 use crate::haptic_faults::run::Setup;
 use crate::network::Profile;
+use crate::progress::{Interrupt, Progress};
 use crate::test_model::TestModel;
 
 /// Ticks of each device, a quarter of the default: 50 samples remain above the 99.9th percentile.
@@ -32,6 +35,18 @@ const ROUND_TRIP_MS: i64 = 50;
 const BYTES_SECONDS: f64 = 8.0;
 const BYTES_MODEL: &str = "thigh";
 const BYTES_NETWORK: &str = "metro";
+
+/// Attacks of the page, which run at once, and their length, s.
+const ATTACKS: [&str; 6] = [
+    "transfers",
+    "handshakes",
+    "delay",
+    "seats",
+    "slow-reader",
+    "names",
+];
+const ATTACK_SECONDS: f64 = 6.0;
+const ATTACK_NETWORK: &str = "lan";
 
 /// All benchmarks in page order, each with the command that repeats it.
 pub(super) const BENCHMARKS: &[(Experiment, &str)] = &[
@@ -79,6 +94,15 @@ pub(super) const BENCHMARKS: &[(Experiment, &str)] = &[
             run: faults,
         },
         "palpate-lab haptic-faults --seeds 500",
+    ),
+    (
+        Experiment {
+            name: "attack",
+            about: "attacks on a server beside two trainees: force, delay, newcomers, memory",
+            takes: &[],
+            run: attacks,
+        },
+        "palpate-lab attack transfers handshakes delay seats slow-reader names --seconds 6",
     ),
 ];
 
@@ -211,3 +235,50 @@ fn faults(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         &all,
     )
 }
+
+fn attacks(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    (bench.progress)("a session without and with attacks", 0.0);
+    let attacks: Result<Vec<Attack>, String> = ATTACKS.into_iter().map(Attack::named).collect();
+    let options = AttackOptions {
+        executable: attack::command::executable()?,
+        model: BYTES_MODEL.to_owned(),
+        seconds: ATTACK_SECONDS,
+        profile: Profile::named(ATTACK_NETWORK).map_err(|e| e.to_string())?,
+        seed: SEED,
+        runs: vec![attacks?],
+    };
+    let report = attack::run(&options, &mut Progress::new(), &Interrupt::default())
+        .map_err(|e| e.to_string())?;
+    let rows: Vec<Value> = std::iter::once(&report.base)
+        .chain(&report.runs)
+        .map(|run| {
+            let mut row = json!(run);
+            row["label"] = run.label().into();
+            row
+        })
+        .collect();
+    let caption = "Two trainees press and cut over a local network, while attackers with valid links \
+                   attack the server: unfinished model transfers, half-open handshakes, false delay reports, joins \
+                   without end, a client that never reads, and names that look alike. The limits are relative to \
+                   the same session without attack. `palpate-lab attack` runs every attack alone.";
+    Ok(Outcome {
+        tables: vec![(
+            "attack".to_owned(),
+            Table::of_objects(&rows, ATTACK_COLUMNS),
+        )],
+        ..outcome(caption, &report)?
+    })
+}
+
+const ATTACK_COLUMNS: &[Column] = &[
+    ("run", "label", 1.0),
+    ("delay_median_ms", "delay.median_ms", 1.0),
+    ("delay_max_ms", "delay.max_ms", 1.0),
+    ("demotions", "demotions", 1.0),
+    ("newcomers", "newcomers.attempts", 1.0),
+    ("newcomers_joined", "newcomers.joined", 1.0),
+    ("slowest_newcomer_s", "newcomers.slowest_s", 1.0),
+    ("memory_quiet_mb", "memory.quiet_mb", 1.0),
+    ("memory_largest_mb", "memory.largest_mb", 1.0),
+    ("operations", "operations", 1.0),
+];

@@ -26,6 +26,7 @@ const TOOK_S: &[(&str, f64)] = &[
     ("haptic-tick", 2.6),
     ("press-cube", 1.1),
     ("haptic-faults", 12.0),
+    ("attack", 40.0),
 ];
 
 /// Assumed duration of an unlisted experiment, s.
