@@ -8,6 +8,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::attack;
 use crate::bench::ablate::Ablate;
 use crate::bench::bytes::Bytes;
 use crate::bench::coding::Coding;
@@ -111,6 +112,9 @@ enum Command {
     /// Run a session of two trainees and a spectator over a bad network, and report how well it went
     #[command(after_help = demo::command::HELP)]
     Demo(demo::DemoOptions),
+    /// Attack a server beside an honest session, and report the damage
+    #[command(after_help = attack::command::HELP)]
+    Attack(attack::command::Arguments),
     /// Relay UDP packets with delay, loss and reordering
     #[command(after_help = EXAMPLES)]
     Relay(relay::command::Arguments),
@@ -214,6 +218,10 @@ pub(crate) fn measured(line: &str, on_stage: &mut OnStage<'_>) -> Result<[String
             };
             arguments.outcome(go_on).map(|outcome| both_forms(&outcome))
         }
+        Command::Attack(arguments) => {
+            let report = arguments.report(&mut Progress::new(), &Interrupt::default())?;
+            Ok(both_forms(&report))
+        }
         _ => Err(format!("\"{line}\" does not measure")),
     }
 }
@@ -269,6 +277,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     palpate_transport::start_log(LevelFilter::ERROR);
     let done = match cli.command {
         Command::Demo(arguments) => demo::command::run(arguments),
+        Command::Attack(arguments) => attack::command::run(arguments),
         Command::Relay(arguments) => relay::command::run(&arguments),
         Command::Profiles(arguments) => network::command::run(&arguments),
         Command::Hand(arguments) => hand::command::run(&arguments),

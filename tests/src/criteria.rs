@@ -45,7 +45,7 @@ pub struct Criterion {
 }
 
 impl Criterion {
-    fn new(
+    pub(crate) fn new(
         criterion: impl Into<String>,
         value: Option<f64>,
         bound: Bound,
@@ -66,6 +66,20 @@ impl Criterion {
             unit: unit.to_owned(),
             ok,
         }
+    }
+
+    pub(crate) fn at_most(
+        criterion: impl Into<String>,
+        value: Option<f64>,
+        limit: f64,
+        unit: &str,
+    ) -> Self {
+        Self::new(criterion, value, Bound::AtMost, limit, unit)
+    }
+
+    /// A count that must be zero.
+    pub(crate) fn none_of(criterion: impl Into<String>, count: Option<u64>) -> Self {
+        Self::at_most(criterion, count.map(|n| n as f64), 0.0, "")
     }
 }
 

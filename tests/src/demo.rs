@@ -2,6 +2,7 @@
 //! joins late, and a report judges the session.
 
 pub(crate) mod command;
+pub(crate) mod pair;
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -9,36 +10,23 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use maud::{DOCTYPE, PreEscaped, html};
 use palpate_client::Recording;
-use palpate_device::Script;
-use palpate_protocol::operation::CutStroke;
 use palpate_server::host::HostSummary;
-use palpate_tissue::write_file;
 
 use crate::chart::Mark;
 use crate::cpu::cpu_of;
 use crate::criteria::{self, Expected};
 use crate::delay_figures::{self, DelayFigures};
 use crate::disagreement::{Disagreement, DisagreementPoint};
-use crate::dropout::{Dropouts, longest_gap_ms};
-use crate::force_error::{ForceError, over_script};
+use crate::force_error::over_script;
 use crate::plots::{self, TraineeForces};
 use crate::progress::{Interrupt, Progress};
-use crate::reference::{self, Reference};
+use crate::reference::{Reference, ReferenceError};
 use crate::relay::{Profile, RelayStats};
-use crate::report::{CutReport, ParticipantReport, ReferenceReport, Report};
-use crate::scripts::{SECONDS_MAX, SECONDS_MIN, Scripts};
+use crate::report::{CutReport, ReferenceReport, Report};
+use crate::scripts::{SECONDS_MAX, SECONDS_MIN};
 use crate::session::{Hosting, Participant, ParticipantResult, Session, SessionError};
 use crate::stress::{PROCESSES_MAX, Stress};
-use crate::test_model::TestModel;
-
-/// Time from the last join to the start of the scripts, as in the room.
-const START_LEAD: Duration = Duration::from_secs(1);
-
-/// Time after the scripts until the participants leave: packets arrive and views are shown.
-const SETTLE: Duration = Duration::from_millis(1500);
-
-/// The trainees, in script order.
-const NAMES: [&str; 2] = ["holder", "cutter"];
+use pair::{NAMES, Pair, SETTLE, START_LEAD, file_error, remove_dead};
 
 /// The late participant.
 const LATE_NAME: &str = "spectator";
@@ -129,90 +117,33 @@ pub fn run(
     })?;
     let dir = options.report.as_deref().unwrap_or(scratch.path());
     std::fs::create_dir_all(dir).map_err(|source| file_error(dir, source))?;
-    progress.stage(&format!("preparing the model {}", options.model));
-    let test_model = TestModel::prepare(&options.model, dir)?;
-    let scripts = Scripts::for_model(&test_model.model, options.seconds)?;
-    let files = [&scripts.holder, &scripts.cutter].map(Script::to_toml);
-    for (name, text) in NAMES.iter().zip(&files) {
-        write(&script_file(dir, name), text)?;
-    }
-    // Both sides use the rounded numbers of the file.
-    let read = |text| Script::from_toml(text).map_err(|e| e.to_string());
-    let scripts = [read(&files[0])?, read(&files[1])?];
-    let run = session(options, dir, &test_model, progress, interrupt)?;
-    progress.stage("computing the reference: the same hands without a network");
-    let began = Instant::now();
-    let cuts = strokes_cut(&run);
-    let both = [&scripts[0], &scripts[1]];
-    let reference = reference::run(&test_model.model, both, &cuts, |share| {
-        progress.tick(&format!("{:.0} %", share * 100.0));
-        !interrupt.is_set()
-    });
-    if interrupt.is_set() {
-        return Err(SessionError::Interrupted.into());
-    }
-    let took_s = began.elapsed().as_secs_f64();
+    let pair = Pair::prepare(&options.model, options.seconds, dir, progress)?;
+    let run = session(options, dir, &pair, progress, interrupt)?;
+    let reference = pair.reference(&run.results, progress, interrupt)?;
     progress.stage("comparing the recordings");
-    let strokes = scripts.iter().map(strokes).sum();
-    let reference = reference.map(|r| (r, took_s));
-    let (report, pictures) = conclude(options, &test_model, run, reference, strokes);
+    let (report, pictures) = conclude(options, &pair, run, reference);
     if let Some(dir) = &options.report {
         pictures.write(dir, &report)?;
     }
     Ok(report)
 }
 
-/// The strokes that the session cut. All logs are equal, except that a participant who leaves early has fewer
-/// entries.
-fn strokes_cut(run: &Run) -> Vec<CutStroke> {
-    let logs = run.results.iter().map(|l| &l.recording.operations);
-    let longest = logs.max_by_key(|log| log.len());
-    let strokes = longest.into_iter().flatten().map(|o| o.stroke.clone());
-    strokes.flatten().collect()
-}
-
-fn file_error(path: &Path, source: std::io::Error) -> DemoError {
-    DemoError::File {
-        path: path.to_owned(),
-        source,
-    }
-}
-
-fn write(path: &Path, text: &str) -> Result<(), DemoError> {
-    write_file(path, text).map_err(|e| file_error(path, e.source))
-}
-
-fn script_file(dir: &Path, name: &str) -> PathBuf {
-    dir.join(format!("{name}.toml"))
-}
-
-/// Number of strokes in a script: intervals with the button pressed.
-fn strokes(script: &Script) -> u64 {
-    let mut was_held = false;
-    let begins = script.waypoints().iter().filter(|way| {
-        let begins = way.button && !was_held;
-        was_held = way.button;
-        begins
-    });
-    begins.count() as u64
-}
-
 /// The session, from the start of the server to its end.
 fn session(
     options: &DemoOptions,
     dir: &Path,
-    test_model: &TestModel,
+    pair: &Pair,
     progress: &mut Progress,
     interrupt: &Interrupt,
 ) -> Result<Run, DemoError> {
     progress.stage(&format!(
         "a server with {} nodes, two trainees, network {}",
-        test_model.model.nodes.len(),
+        pair.test_model.model.nodes.len(),
         options.profile.name
     ));
     let mut session = Session::start(&Hosting {
         executable: &options.executable,
-        model: &test_model.file,
+        model: &pair.test_model.file,
         profile: options.profile.clone(),
         seed: options.seed,
         compensation: &options.compensation,
@@ -220,20 +151,7 @@ fn session(
     })?;
     let mut stress =
         Stress::start(&options.executable, options.stress).map_err(SessionError::from)?;
-    let mut participants = Vec::new();
-    for name in NAMES {
-        let script = script_file(dir, name);
-        participants.push(session.join(name, "trainee", Some(&script), dir)?);
-    }
-    for participant in &mut participants {
-        let joined = participant.wait_until_in(&|| interrupt.is_set());
-        joined.inspect_err(|_| {
-            let said = session.server.tail();
-            if !said.is_empty() {
-                progress.stage(&format!("server log:\n{said}"));
-            }
-        })?;
-    }
+    let mut participants = pair.join(&session, progress, interrupt)?;
     let beside = match options.stress {
         0 => String::new(),
         n => format!(" beside {n} busy process(es)"),
@@ -278,32 +196,12 @@ fn session(
     finish(session, participants, problems)
 }
 
-/// Removes participants that died; the others continue.
-fn remove_dead(participants: &mut Vec<Participant>, problems: &mut Vec<String>) {
-    participants.retain_mut(|p| match p.program.check_alive() {
-        Ok(()) => true,
-        Err(error) => {
-            problems.push(error.to_string());
-            false
-        }
-    });
-}
-
 fn finish(
     session: Session,
     participants: Vec<Participant>,
     mut problems: Vec<String>,
 ) -> Result<Run, DemoError> {
-    for participant in &participants {
-        participant.program.ask_to_end();
-    }
-    let mut results = Vec::new();
-    for participant in participants {
-        match participant.leave() {
-            Ok(figures) => results.push(figures),
-            Err(error) => problems.push(error.to_string()),
-        }
-    }
+    let results = pair::leave(participants, &mut problems);
     let (host, network) = session.end()?;
     Ok(Run {
         host,
@@ -322,13 +220,12 @@ struct Pictures {
 /// Computes the report; the reference comes with its computation time in s.
 fn conclude(
     options: &DemoOptions,
-    test_model: &TestModel,
+    pair: &Pair,
     run: Run,
-    reference: Result<(Reference, f64), reference::ReferenceError>,
-    strokes: u64,
+    reference: Result<(Reference, f64), ReferenceError>,
 ) -> (Report, Pictures) {
     let mut report = Report {
-        nodes: test_model.model.nodes.len(),
+        nodes: pair.test_model.model.nodes.len(),
         seconds: options.seconds,
         stress: options.stress,
         network: run.network,
@@ -351,7 +248,7 @@ fn conclude(
     report.participants = run
         .results
         .iter()
-        .map(|l| participant(l, reference.as_ref(), options.seconds))
+        .map(|l| pair::figures(l, reference.as_ref(), options.seconds))
         .collect();
     let recordings: Vec<&Recording> = run.results.iter().map(|l| &l.recording).collect();
     report.delay = DelayFigures::of(&recordings, options.seconds);
@@ -362,7 +259,7 @@ fn conclude(
     let cpu = cpu.chain([cpu_of(criteria::SERVER, &run.host)]);
     report.cpu = cpu.flatten().collect();
     report.cut = CutReport {
-        strokes,
+        strokes: pair.strokes(),
         operations: run.host.cuts,
         components: run.host.components,
         boundary_closed: run.host.boundary_closed,
@@ -408,37 +305,6 @@ fn judge(report: &mut Report, options: &DemoOptions) {
         delay_limit_ms,
         is_covered,
     });
-}
-
-/// Figures of a participant: its summary, and those of its recording.
-fn participant(
-    result: &ParticipantResult,
-    reference: Option<&Reference>,
-    seconds: f64,
-) -> ParticipantReport {
-    let recording = &result.recording;
-    let expected = reference_of(&recording.name, reference);
-    let points = recording
-        .script_started_us
-        .map(|began| over_script(&recording.haptic, began));
-    let both = points.as_ref().zip(expected);
-    let d = recording.dropped;
-    let force_error = both.and_then(|(c, r)| ForceError::between(c, r));
-    ParticipantReport {
-        dropouts: both.and_then(|(c, r)| Dropouts::between(c, r)),
-        recording_gap_ms: points.map(|c| longest_gap_ms(&c, seconds)),
-        records_dropped: d.haptic + d.views + d.view_nodes + d.operations,
-        ..ParticipantReport::of(result.summary.clone(), force_error)
-    }
-}
-
-/// Reference force of a participant, by name.
-fn reference_of<'a>(
-    name: &str,
-    reference: Option<&'a Reference>,
-) -> Option<&'a [crate::force_error::ForcePoint]> {
-    let seat = NAMES.iter().position(|n| *n == name)?;
-    Some(&reference?.forces[seat])
 }
 
 /// Time at which each participant applied the first cut, relative to the first one. Late participants, which
@@ -506,7 +372,7 @@ fn draw(
         .map(|(name, session)| TraineeForces {
             name,
             session,
-            reference: reference_of(name, reference).unwrap_or_default(),
+            reference: pair::reference_of(name, reference).unwrap_or_default(),
             dropouts: dropouts_of(name),
         })
         .collect();
@@ -534,10 +400,10 @@ impl Pictures {
                 }
             }
         };
-        write(&dir.join("report.json"), &json)?;
-        write(&dir.join("report.txt"), &text)?;
-        write(&dir.join("report.html"), &page.into_string())?;
-        write(&dir.join("force.svg"), &self.forces)?;
-        write(&dir.join("view_disagreement.svg"), &self.views)
+        pair::write(&dir.join("report.json"), &json)?;
+        pair::write(&dir.join("report.txt"), &text)?;
+        pair::write(&dir.join("report.html"), &page.into_string())?;
+        pair::write(&dir.join("force.svg"), &self.forces)?;
+        pair::write(&dir.join("view_disagreement.svg"), &self.views)
     }
 }

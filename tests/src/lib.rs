@@ -14,7 +14,8 @@
 //! | simulate a whole session in virtual time: links, server, participants | `simulated_session` |
 //! | simulate the time compensation of two sites | `alignment` |
 //! | load a server with all its seats | `load_test` |
-//! | compare recordings | `disagreement`, `force_error`, `dropout`, `delay_figures`, `cpu` |
+//! | attack a server beside an honest session | `attack` |
+//! | compare recordings | `disagreement`, `force_error`, `dropout`, `delay_figures`, `cpu`, `memory` |
 //! | judge a session | `criteria` |
 //! | measure the solver | `bench` |
 //! | compare rendered and converged forces of a tool | `scenario`, `experiments` |
@@ -29,6 +30,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod alignment;
+pub mod attack;
 mod bench;
 mod chart;
 pub mod cli;
@@ -46,6 +48,7 @@ mod haptic_faults;
 mod histogram;
 mod input_file;
 mod load_test;
+mod memory;
 mod name_suggestion;
 pub mod network;
 mod plots;

@@ -43,6 +43,9 @@ pub enum SessionError {
     /// The relay failed.
     #[error("the relay could not be started: {0}")]
     Relay(std::io::Error),
+    /// The threads of connections within this process.
+    #[error("the threads for connections of the laboratory could not be started: {0}")]
+    Runtime(std::io::Error),
     /// Invalid join link of the server.
     #[error("the server printed an invalid join link: {0}")]
     Link(#[from] LinkError),
@@ -137,10 +140,15 @@ impl Session {
         })
     }
 
+    /// The join link for a role, straight to the server.
+    pub fn direct_link(&self, role: &'static str) -> Result<JoinLink, SessionError> {
+        let text = self.listening.links.get(role);
+        Ok(text.ok_or(SessionError::NoLink(role))?.parse()?)
+    }
+
     /// The join link for a role, through the relay.
     pub fn link(&self, role: &'static str) -> Result<JoinLink, SessionError> {
-        let text = self.listening.links.get(role);
-        let mut link: JoinLink = text.ok_or(SessionError::NoLink(role))?.parse()?;
+        let mut link = self.direct_link(role)?;
         let address = self.relay.local_addr();
         link.host = address.ip().to_string();
         link.port = address.port();

@@ -7,7 +7,7 @@ use palpate_protocol::JoinLink;
 use quinn::{ConnectionError, Endpoint, TokioRuntime};
 
 use crate::TransportError;
-use crate::config::{self, ALPN_SESSION};
+use crate::config::{self, ALPN_BULK, ALPN_SESSION};
 use crate::connection::Connection;
 use crate::error::describe_connection_error;
 use crate::identity::SERVER_NAME;
@@ -20,7 +20,17 @@ const ALERT_NO_APPLICATION_PROTOCOL: u8 = 120;
 
 /// Connects to the server of a join link and opens the operations stream.
 pub async fn connect(link: &JoinLink) -> Result<Connection, TransportError> {
-    let (endpoint, quic) = reach(link, ALPN_SESSION).await?;
+    open(link, ALPN_SESSION).await
+}
+
+/// Connects for a model transfer and opens its stream, without a request: for tests of the server.
+/// [`fetch_model`](crate::fetch_model) performs a whole transfer.
+pub async fn connect_bulk(link: &JoinLink) -> Result<Connection, TransportError> {
+    open(link, ALPN_BULK).await
+}
+
+async fn open(link: &JoinLink, alpn: &[u8]) -> Result<Connection, TransportError> {
+    let (endpoint, quic) = reach(link, alpn).await?;
     let address = quic.remote_address();
     let streams = quic.open_bi().await.map_err(|e| TransportError::Lost {
         address,

@@ -29,7 +29,7 @@ pub mod state;
 pub mod threads;
 
 pub use bulk::{MODEL_MAX_BYTES, fetch_model};
-pub use client::connect;
+pub use client::{connect, connect_bulk};
 pub use connection::{Connection, PathStats};
 pub use drive::DriverStats;
 pub use drive::client::{ClientCommand, ClientHandle, spawn_client};

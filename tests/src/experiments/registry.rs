@@ -93,4 +93,7 @@ pub(super) const BENCHMARKS: &[Experiment] = experiments! {
         "Faults during a press through the client's force loop, in virtual time. The force changes by at \
         most the slew-rate limit per tick and is zero within 150 ms after the loss of its source."),
         "injected faults during haptic contact: no fault may cause a force jump";
+    "attack", 40.0, [], Work::Command("palpate-lab attack transfers handshakes delay seats slow-reader names --seconds 6",
+        "Six attacks at once beside two honest trainees, and the same session without attack."),
+        "a server under attack: force, playout delay, newcomers and memory beside two honest trainees";
 };

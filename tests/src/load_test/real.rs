@@ -19,6 +19,7 @@ use serde::Serialize;
 
 use super::member::{Motion, hello};
 use super::{motions, touching};
+use crate::memory::Memory;
 use crate::program::Program;
 use crate::test_model::TestModel;
 
@@ -103,7 +104,7 @@ impl Real<'_> {
             .build()
             .map_err(|e| format!("cannot start the participants' runtime: {e}"))?;
         let counted = runtime.block_on(self.live(&link, motions, server.id()))?;
-        let memory_mb = peak_mb(server.id());
+        let memory_mb = Memory::of(server.id()).map(|m| m.peak_mb);
         server.ask_to_end();
         server
             .wait_for_success(END_WITHIN)
@@ -274,12 +275,4 @@ fn threads_s(process: u32) -> BTreeMap<u32, f64> {
         Some((task.file_name().to_str()?.parse().ok()?, ns * 1e-9))
     };
     tasks.filter_map(Result::ok).filter_map(of).collect()
-}
-
-/// Peak memory of a process, MB; Linux only.
-fn peak_mb(process: u32) -> Option<f64> {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
-    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
-    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kilobytes / 1024.0)
 }

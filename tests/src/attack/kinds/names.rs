@@ -1,0 +1,74 @@
+//! Attack with names that look like that of another participant.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::time::sleep;
+
+use super::{AGAIN, Target};
+use crate::attack::raw_client::{RawClient, hello};
+
+/// The name of the honest participant.
+const HONEST: &str = "ann";
+
+/// Names that are displayed like [`HONEST`].
+const FALSE_NAMES: [&str; 7] = [
+    // Zero-width space, zero-width joiner, soft hyphen.
+    "ann\u{200b}",
+    "a\u{200d}nn",
+    "an\u{ad}n",
+    // Right-to-left override.
+    "\u{202e}nna",
+    // Trailing blank, no-break space.
+    "ann ",
+    "ann\u{a0}",
+    // Cyrillic a.
+    "\u{430}nn",
+];
+
+/// Time between two names.
+const NAME_EVERY: Duration = Duration::from_millis(200);
+
+/// The count of false names that the server accepted.
+pub(in crate::attack) const ACCEPTED_FALSE_NAMES: &str = "false names accepted";
+
+/// A participant and its imitators, each of which tries once.
+pub(super) async fn names(target: Arc<Target>) {
+    let link = &target.spectator;
+    let mut honest = loop {
+        match RawClient::join(link, hello(link, HONEST.to_owned(), None)).await {
+            Ok(client) => break client,
+            Err(_) => sleep(AGAIN).await,
+        }
+    };
+    for name in FALSE_NAMES {
+        let joined = RawClient::join(link, hello(link, name.to_owned(), None)).await;
+        target.count(match &joined {
+            Ok(_) => ACCEPTED_FALSE_NAMES,
+            Err(_) => "false names refused",
+        });
+        if let Ok(client) = joined {
+            client.leave().await;
+        }
+        honest.heartbeat();
+        if honest.drain(NAME_EVERY).await.is_err() {
+            return target.count("honest connection ended by the server");
+        }
+    }
+    loop {
+        honest.heartbeat();
+        if honest.drain(AGAIN).await.is_err() {
+            return target.count("honest connection ended by the server");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{FALSE_NAMES, HONEST};
+
+    #[test]
+    fn false_names_differ_from_the_honest_one() {
+        assert!(FALSE_NAMES.iter().all(|name| *name != HONEST));
+    }
+}

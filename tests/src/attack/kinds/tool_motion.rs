@@ -1,0 +1,148 @@
+//! Attacks with the motion of tools.
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+use std::time::Duration;
+
+use palpate_protocol::datagram::Body;
+use palpate_protocol::lateness::Lateness;
+use palpate_protocol::tool::{ToolDescription, ToolKind};
+use palpate_protocol::{Pose, Span, ToolSample, ToolTrack};
+use palpate_tissue::Vec3;
+use tokio::time::{Instant, sleep};
+
+use super::{AGAIN, Target, at_once};
+use crate::attack::raw_client::{RawClient, hello};
+use crate::tool_location::SurfacePoint;
+
+/// Time between two datagrams of motion, and samples in each.
+const MOTION_EVERY: Duration = Duration::from_millis(4);
+const SAMPLES: i64 = 4;
+
+/// Depth of the tools below the surface, m.
+const DEPTH_M: f64 = 0.01;
+
+/// Error of the time stamps; the server ignores samples 0.5 s ahead.
+const WRONG_BY: Span = Span::from_millis(400);
+
+/// Tools that are much larger than the tissue, their size, m, and their turns per second.
+const BIG_TOOLS: usize = 4;
+const BIG_M: f64 = 0.5;
+const TURNS_PER_S: f64 = 0.5;
+
+/// Motion at one instant: the pose, the offset of the time stamps, and the claimed lateness.
+struct Moment {
+    pose: Pose,
+    offset: Span,
+    late: Lateness,
+}
+
+fn inside(spot: &SurfacePoint, orientation: [f64; 4]) -> Pose {
+    let at: Vec3 = spot.at - spot.normal * DEPTH_M;
+    Pose {
+        position_m: at.into(),
+        orientation,
+    }
+}
+
+fn honest(pose: Pose) -> Moment {
+    Moment {
+        pose,
+        offset: Span::ZERO,
+        late: Lateness::NONE,
+    }
+}
+
+/// A trainee whose tool moves as `at` says, by the number of the datagram.
+async fn moving(
+    target: &Target,
+    name: &str,
+    tool: ToolDescription,
+    at: impl Fn(u64) -> Moment + Send,
+) {
+    loop {
+        let hello = hello(&target.trainee, name.to_owned(), Some(tool));
+        let joined = RawClient::join(&target.trainee, hello).await;
+        target.count_join(&joined);
+        if let Ok(mut client) = joined {
+            for n in 0.. {
+                let Moment { pose, offset, late } = at(n);
+                let now = client.server_now();
+                let sample = |k: i64| ToolSample {
+                    time: now + offset - Span::from_millis(SAMPLES - 1 - k),
+                    pose,
+                    buttons: 0,
+                    force_n: None,
+                };
+                let track = ToolTrack {
+                    participant: client.welcome.participant,
+                    samples: (0..SAMPLES).map(sample).collect(),
+                    late,
+                };
+                if client.send(Body::Motion(vec![track])) {
+                    target.count("motion datagrams sent");
+                }
+                let next = Instant::now() + MOTION_EVERY;
+                if client.drain(next - Instant::now()).await.is_err() {
+                    break;
+                }
+            }
+            target.count("connections ended by the server");
+        }
+        sleep(AGAIN).await;
+    }
+}
+
+/// A tool that is at another place in every datagram.
+pub(super) async fn jumps(target: Arc<Target>) {
+    let places = [0, 1].map(|i| inside(&target.spot(i), Pose::IDENTITY.orientation));
+    let tool = ToolDescription::probe(0.01);
+    moving(&target, "jumps", tool, |n| honest(places[(n % 2) as usize])).await;
+}
+
+/// Time stamps that are ahead of the server's clock and behind it, with claims that the machine was late.
+pub(super) async fn wrong_times(target: Arc<Target>) {
+    let pose = inside(&target.spot(0), Pose::IDENTITY.orientation);
+    let tool = ToolDescription::probe(0.01);
+    moving(&target, "wrong-times", tool, |n| match n / 250 % 3 {
+        0 => Moment {
+            offset: WRONG_BY,
+            ..honest(pose)
+        },
+        1 => Moment {
+            offset: Span::ZERO - WRONG_BY,
+            ..honest(pose)
+        },
+        _ => Moment {
+            late: Lateness {
+                newest: WRONG_BY,
+                oldest: WRONG_BY,
+            },
+            ..honest(pose)
+        },
+    })
+    .await;
+}
+
+/// Large plates that turn inside the tissue.
+pub(super) async fn big_tools(target: Arc<Target>) {
+    at_once(BIG_TOOLS, |i| {
+        let target = Arc::clone(&target);
+        async move {
+            let spot = target.spot(i);
+            let tool = ToolDescription {
+                kind: ToolKind::Plate,
+                radius_m: 1e-3,
+                length_m: BIG_M,
+                width_m: BIG_M,
+            };
+            moving(&target, &format!("plate-{i}"), tool, |n| {
+                let turns = n as f64 * MOTION_EVERY.as_secs_f64() * TURNS_PER_S;
+                let half = 0.5 * TAU * turns;
+                honest(inside(&spot, [half.sin(), 0.0, 0.0, half.cos()]))
+            })
+            .await;
+        }
+    })
+    .await;
+}
