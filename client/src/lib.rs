@@ -33,7 +33,8 @@ mod replica;
 
 pub use devices::{DeviceError, DeviceKind, OwnedError, Sources, tool_description};
 pub use program::{
-    ClientError, EventCounts, JoinOptions, SolveTimes, StartAt, StatusKind, Summary, cli, run,
+    ClientError, EventCounts, JoinOptions, LINK_VARIABLE, LinkSourceError, SolveTimes, StartAt,
+    StatusKind, Summary, cli, run,
 };
 pub use realtime::Lateness;
 pub use recording::Recording;

@@ -148,26 +148,28 @@ pub enum LinkError {
     },
     /// A part after the question mark is wrong.
     #[error(
-        "\"{key}=\" in the join link must have {digits} hexadecimal digits, it has \"{found}\""
+        "\"{key}=\" in the join link must have {digits} hexadecimal digits, it has {found} characters; copy the whole link that the server printed"
     )]
     Value {
         /// Its key.
         key: &'static str,
         /// How many digits it must have.
         digits: usize,
-        /// The first characters of the text found.
-        found: String,
+        /// How many characters it has.
+        found: usize,
     },
     /// An unknown key.
-    #[error("the join link has an unknown part \"{found}\"; it has only cert and grant")]
+    #[error("the join link has an unknown part \"{found}\"; only cert and grant are allowed")]
     Unknown {
-        /// The text found.
+        /// The key found.
         found: String,
     },
 }
 
+/// The first characters of a part, without values: errors are logged, and a value may be the secret.
 fn excerpt(s: &str) -> String {
-    s.chars().take(40).collect()
+    let is_key = |c: &char| !"?=&".contains(*c);
+    s.chars().take_while(is_key).take(40).collect()
 }
 
 fn hex<const N: usize>(key: &'static str, value: &str) -> Result<[u8; N], LinkError> {
@@ -178,7 +180,7 @@ fn hex<const N: usize>(key: &'static str, value: &str) -> Result<[u8; N], LinkEr
         .ok_or_else(|| LinkError::Value {
             key,
             digits: 2 * N,
-            found: excerpt(value),
+            found: value.chars().count(),
         })
 }
 
@@ -265,7 +267,26 @@ mod tests {
         assert!(err(&good.replace("trainee", "surgeon")).contains("\"surgeon\""));
         assert!(err(good.split_once('&').unwrap().0).contains("grant"));
         assert!(err(&good.replace("a5a5", "zz")).contains("64 hexadecimal"));
-        assert!(err(&format!("{good}&x=1")).contains("\"x=1\""));
+        assert!(err(&format!("{good}&x=1")).contains("\"x\""));
+    }
+
+    #[test]
+    fn no_error_shows_a_secret() {
+        let secret = "5ec7".repeat(8);
+        let good = link("h").to_string();
+        let (start, _) = good.rsplit_once('=').unwrap();
+        let wrong = [
+            format!("{start}={secret}x"),
+            format!("{start}={}z", &secret[..31]),
+            good.replace("grant=", &format!("grnt={secret}&grant=")),
+            format!("grant={secret}"),
+            format!("palpate://grant={secret}"),
+            format!("palpate://h:1/trainee&grant={secret}"),
+        ];
+        for text in wrong {
+            let error = text.parse::<JoinLink>().unwrap_err().to_string();
+            assert!(!error.contains("5ec7"), "{text}: {error}");
+        }
     }
 
     #[test]

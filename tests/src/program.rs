@@ -128,6 +128,8 @@ impl Program {
         let name = name.into();
         let spawned = Command::new(executable)
             .args(arguments.into_iter().map(Into::into))
+            // A link of the user is not for clients of the laboratory.
+            .env_remove(palpate_client::LINK_VARIABLE)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())

@@ -34,7 +34,9 @@ mod site;
 mod test_support;
 mod tools;
 
-pub use connection::{Action, ConnectionStatus, Farewell, Reconnector};
+pub use connection::{
+    Action, BUSY_WAIT_FIRST, Backoff, ConnectionStatus, Farewell, Reconnector, Retry, is_temporary,
+};
 pub use replica::{
     CutOrder, CutWorkerEvent, Drift, HAPTIC_PERIOD, Prefetch, Replica, ReplicaError, ThinCounters,
     ThinView, VIEW_ITERATIONS, VIEW_TOLERANCE, View, ViewCut, hand_budget,

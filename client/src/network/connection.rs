@@ -11,7 +11,7 @@ use palpate_transport::{ClientCommand, ClientHandle, DriverStats, TransportError
 use tokio::sync::{mpsc, watch};
 
 use super::inbox::Inbox;
-use super::join;
+use super::{SeatFile, join};
 use crate::ClientError;
 use crate::realtime::monotonic_now;
 
@@ -21,6 +21,8 @@ type Joined = Result<(ClientHandle, Box<Welcome>), ClientError>;
 pub(super) struct Connection<'a> {
     pub(super) link: &'a JoinLink,
     pub(super) reconnector: Reconnector,
+    /// File that keeps the seat beyond this run.
+    pub(super) seat: Option<SeatFile>,
     pub(super) inbox: &'a Inbox,
     pub(super) commands: mpsc::Receiver<ClientCommand>,
     /// Receives the reason when the site needs a resync from the whole log.
@@ -37,8 +39,8 @@ struct Present<'a> {
 }
 
 impl<'a> Connection<'a> {
-    /// Serves the session until it is over.
-    pub(super) async fn run(mut self, handle: ClientHandle) -> Farewell {
+    /// Serves the session until it is over. The seat file is removed once the server has released the seat.
+    pub(super) async fn run(mut self, handle: ClientHandle) {
         let mut present = Present {
             handle: Some(handle),
             attempt: None,
@@ -49,7 +51,12 @@ impl<'a> Connection<'a> {
                 if let Some(handle) = present.handle {
                     end(handle).await;
                 }
-                return farewell;
+                if farewell == Farewell::Final
+                    && let Some(seat) = self.seat
+                {
+                    seat.remove();
+                }
+                return;
             }
             self.take_input(&mut present).await;
         }
@@ -160,12 +167,18 @@ impl<'a> Connection<'a> {
                 while let Ok(why) = self.resync.try_recv() {
                     self.reconnector.handle_resync(why, monotonic_now());
                 }
+                if let Some(seat) = &mut self.seat {
+                    seat.keep(&welcome);
+                }
                 self.reconnector.handle_welcome(welcome, monotonic_now());
                 return Some(handle);
             }
-            Err(ClientError::Refused(sentence)) => self.reconnector.handle_refusal(sentence),
+            Err(ClientError::Refused(refused)) => {
+                self.reconnector.handle_refusal(refused, monotonic_now());
+            }
+            Err(ClientError::Goodbye(sentence)) => self.reconnector.handle_dead_end(sentence),
             Err(ClientError::Transport(error @ TransportError::WrongCertificate { .. })) => {
-                self.reconnector.handle_refusal(error.to_string());
+                self.reconnector.handle_dead_end(error.to_string());
             }
             Err(error) => {
                 self.reconnector

@@ -3,6 +3,7 @@
 mod connection;
 mod inbox;
 mod motion;
+mod retry;
 mod seat_file;
 
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,10 +15,10 @@ use palpate_protocol::compensation::DelaySchedule;
 use palpate_protocol::handshake::{Hello, Welcome};
 use palpate_protocol::session::{ClientEvent, ClientSession, CloseReason};
 use palpate_protocol::{JoinLink, ModelHash, Span};
-use palpate_site::{ConnectionStatus, Farewell, Reconnector};
+use palpate_site::{ConnectionStatus, Reconnector, is_temporary};
 use palpate_transport::threads::{self, ThreadClass};
 use palpate_transport::{
-    ClientCommand, ClientHandle, DriverStats, TransportError, connect, fetch_model, spawn_client,
+    ClientCommand, ClientHandle, DriverStats, connect, fetch_model, spawn_client,
 };
 use tokio::sync::{mpsc as async_mpsc, watch};
 use tracing::Instrument as _;
@@ -25,9 +26,11 @@ use tracing::Instrument as _;
 use crate::ClientError;
 use crate::realtime::{monotonic_now, sleep_until};
 use connection::Connection;
+use retry::{Retries, random_seed};
 
 pub(crate) use inbox::Inbox;
 pub(crate) use motion::MotionThread;
+pub(crate) use retry::RetryReport;
 pub(crate) use seat_file::SeatFile;
 
 /// Commands queued for the network thread: one second of motion.
@@ -41,9 +44,6 @@ const LEAVE_PATIENCE: Span = Span::from_millis(500);
 
 /// Retry period of leaving.
 const LEAVE_RETRY: Span = Span::from_millis(5);
-
-/// Delay before fetching a model again after a lost connection.
-const FETCH_AGAIN: Duration = Duration::from_millis(500);
 
 /// Callback for the progress of the model: bytes received, bytes in total.
 pub(crate) type FetchProgress = Box<dyn FnMut(u64, u64) + Send>;
@@ -80,8 +80,9 @@ pub(crate) struct Joining {
     pub(crate) hello: Hello,
     /// File that keeps the seat beyond this run.
     pub(crate) seat: Option<SeatFile>,
-    /// How long to try to reconnect.
+    /// How long to try again when the server is busy or not reached, also after a lost connection.
     pub(crate) reconnect: Duration,
+    pub(crate) report: RetryReport,
     pub(crate) stop: Arc<AtomicBool>,
     /// Whether SIGINT and SIGTERM set `stop`.
     pub(crate) catch_signals: bool,
@@ -158,9 +159,11 @@ async fn serve(
 ) {
     let (link, stop) = (&joining.link, &*joining.stop);
     let stopped = || ClientError::EndedWhileJoining("you stopped it".to_owned());
-    let (hello, mut seat) = (joining.hello, joining.seat);
+    let (hello, mut seat, mut report) = (joining.hello, joining.seat, joining.report);
+    let patience = Span::from_micros(joining.reconnect.as_micros() as i64);
+    let retries = Retries::new(patience, &mut report);
     let joined = tokio::select! {
-        joined = take_seat(link, &hello, seat.as_mut()) => joined,
+        joined = take_seat(link, &hello, seat.as_mut(), retries) => joined,
         () = until(stop) => Err(stopped()),
     };
     let (handle, welcome) = match joined {
@@ -180,11 +183,11 @@ async fn serve(
     let (resync, resync_receiver) = async_mpsc::channel(1);
     let (stats_sender, stats) = watch::channel(DriverStats::default());
     let (status_sender, connection) = watch::channel(ConnectionStatus::default());
-    let patience = Span::from_micros(joining.reconnect.as_micros() as i64);
     let run = seat.as_ref().map_or(0, SeatFile::run);
     let session = Connection {
         link,
-        reconnector: Reconnector::new(hello, &welcome, patience, run),
+        reconnector: Reconnector::new(hello, &welcome, patience, run, random_seed()),
+        seat,
         inbox: &inbox,
         commands: command_receiver,
         resync: resync_receiver,
@@ -194,12 +197,13 @@ async fn serve(
     // From here on a connection that is lost during the download is also resumed.
     let session = session.run(handle);
     tokio::pin!(session);
+    let retries = Retries::new(patience, &mut report);
     let fetched = tokio::select! {
-        fetched = fetch(link, welcome.model.hash, progress, joining.reconnect) => fetched,
-        _ = &mut session => return drop(sender.send(Err(ended(&inbox)))),
+        fetched = fetch(link, welcome.model.hash, progress, retries) => fetched,
+        () = &mut session => return drop(sender.send(Err(ended(&inbox)))),
         () = until(stop) => Err(stopped()),
     };
-    let report = match fetched {
+    let outcome = match fetched {
         Ok(model) => Ok(Session {
             welcome,
             model,
@@ -216,40 +220,45 @@ async fn serve(
         }
     };
     // Without a main thread the result is dropped and the session left.
-    drop(sender.send(report));
-    if session.await == Farewell::Final
-        && let Some(seat) = seat
-    {
-        seat.remove();
-    }
+    drop(sender.send(outcome));
+    session.await;
 }
 
 /// Resumes the seat of an earlier run that crashed, or takes a new one.
 async fn take_seat(
     link: &JoinLink,
     hello: &Hello,
-    seat: Option<&mut SeatFile>,
+    mut seat: Option<&mut SeatFile>,
+    mut retries: Retries<'_>,
 ) -> Result<(ClientHandle, Box<Welcome>), ClientError> {
-    let Some(seat) = seat else {
-        return join(link, hello.clone(), None).await;
+    let mut hello = Hello {
+        resume: seat.as_mut().and_then(|seat| seat.begin_run()),
+        ..hello.clone()
     };
-    if let Some(resume) = seat.begin_run() {
-        let hello = Hello {
-            resume: Some(resume),
-            ..hello.clone()
-        };
-        match join(link, hello, None).await {
-            // The seat is gone, or belonged to an earlier session of this host.
-            Err(ClientError::Refused(sentence)) => {
-                tracing::info!(sentence, "the kept seat is gone");
-                seat.clear();
+    loop {
+        let error = match join(link, hello.clone(), None).await {
+            Ok(joined) => {
+                if let Some(seat) = seat {
+                    seat.keep(&joined.1);
+                }
+                return Ok(joined);
             }
-            other => return other,
+            Err(error) => error,
+        };
+        match error {
+            // The seat is gone, or belonged to an earlier session of this host.
+            ClientError::Refused(refused)
+                if hello.resume.is_some() && !is_temporary(&refused.reason) =>
+            {
+                tracing::info!(refused.sentence, "the kept seat is gone");
+                if let Some(seat) = &mut seat {
+                    seat.clear();
+                }
+                hello.resume = None;
+            }
+            error => retries.wait_after(error).await?,
         }
     }
-    let joined = join(link, hello.clone(), None).await?;
-    seat.keep(&joined.1);
-    Ok(joined)
 }
 
 /// Ends the session for the replica when the thread panics, so that no force of an outdated replica is rendered.
@@ -301,31 +310,27 @@ async fn join(
 
 fn not_joined(reason: CloseReason) -> ClientError {
     match reason {
-        CloseReason::Refused(refused) => ClientError::Refused(refused.sentence),
+        CloseReason::Refused(refused) => ClientError::Refused(refused),
         // Before the welcome a goodbye carries the reason for the rejection.
-        CloseReason::Goodbye(sentence) => ClientError::Refused(sentence),
+        CloseReason::Goodbye(sentence) => ClientError::Goodbye(sentence),
+        reason @ (CloseReason::ConnectionLost(_)
+        | CloseReason::Silent(_)
+        | CloseReason::HandshakeTimeout) => ClientError::LostWhileJoining(reason),
         other => ClientError::EndedWhileJoining(other.to_string()),
     }
 }
 
-/// Fetches the model; retries lost connections until `patience` is over.
+/// Fetches the model.
 async fn fetch(
     link: &JoinLink,
     expected: ModelHash,
     mut progress: FetchProgress,
-    patience: Duration,
+    mut retries: Retries<'_>,
 ) -> Result<Vec<u8>, ClientError> {
-    let give_up = tokio::time::Instant::now() + patience;
     let bytes = loop {
         match fetch_model(link, expected, &mut progress).await {
             Ok(bytes) => break bytes,
-            Err(error @ (TransportError::Lost { .. } | TransportError::NoAnswer { .. }))
-                if tokio::time::Instant::now() < give_up =>
-            {
-                tracing::info!(%error, "fetching the model again");
-                tokio::time::sleep(FETCH_AGAIN).await;
-            }
-            Err(error) => return Err(error.into()),
+            Err(error) => retries.wait_after(error.into()).await?,
         }
     };
     let found = ModelHash(xxhash_rust::xxh3::xxh3_64(&bytes));

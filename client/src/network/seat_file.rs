@@ -88,8 +88,12 @@ impl SeatFile {
         Some(resume)
     }
 
-    /// Stores a new seat.
+    /// Stores the seat of a welcome. A stored one continues its run.
     pub(crate) fn keep(&mut self, welcome: &Welcome) {
+        let is_kept = |kept: &Kept| kept.token.matches(&welcome.resume_token);
+        if self.kept.as_ref().is_some_and(is_kept) {
+            return;
+        }
         self.kept = Some(Kept {
             format: FORMAT.to_owned(),
             participant: welcome.participant,

@@ -1,4 +1,4 @@
-//! The command line: `palpate-client join LINK` and `palpate-client devices`.
+//! The command line: `palpate-client join` and `palpate-client devices`.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -9,6 +9,7 @@ use clap::{Parser, Subcommand};
 use palpate_protocol::handshake::Subscription;
 use palpate_transport::state::state_folder;
 
+use super::link_source::LinkArguments;
 use super::output::{complain, print};
 use crate::devices::{self, DeviceChoice, DevicesArguments, Sources};
 use crate::{ClientError, JoinOptions, StartAt, StatusKind, Summary, run as join};
@@ -21,6 +22,10 @@ const EXAMPLES: &str = "\
 Examples:
   Join with the link that the server printed (in quotes: it has a '&'), with a scripted hand:
     palpate-client join \"palpate://192.168.1.20:4433/trainee?cert=...&grant=...\" --script press.toml
+
+  With the link in a file that only you can read, so that it appears neither in the list of processes nor in the history
+  of your shell. `join -` reads the link from standard input, and PALPATE_LINK holds it in the environment:
+    palpate-client join --link-file ~/trainee.link --script press.toml
 
   Only look, for ten seconds:
     palpate-client join \"palpate://192.168.1.20:4433/spectator?cert=...&grant=...\" --duration 10
@@ -94,8 +99,8 @@ enum Command {
 
 #[derive(clap::Args)]
 struct JoinArguments {
-    /// The join link printed by the server; quote it
-    link: String,
+    #[command(flatten)]
+    link: LinkArguments,
     /// The name shown to other participants
     #[arg(long, default_value_t = default_name())]
     name: String,
@@ -121,7 +126,8 @@ struct JoinArguments {
     /// Leave after this number of seconds; default: stay until the session ends or Ctrl-C
     #[arg(long, value_name = "S", value_parser = seconds)]
     duration: Option<Duration>,
-    /// Try to reconnect for this number of seconds after a lost connection; the server keeps the seat for 60
+    /// Try again for this number of seconds when the server is busy or not reached, also after a lost connection; the
+    /// server keeps the seat for 60
     #[arg(long, value_name = "S", value_parser = seconds, default_value = "60")]
     reconnect: Duration,
     /// Do not store the seat on disk: after a crash the server then rejects this name for 60 s. By default the seat
@@ -140,13 +146,15 @@ struct JoinArguments {
 }
 
 impl JoinArguments {
-    fn into_options(self) -> JoinOptions {
+    fn into_options(self) -> Result<JoinOptions, ClientError> {
+        // First, because the program may start again.
+        let link = self.link.read()?;
         let status = if self.json {
             StatusKind::Stderr
         } else {
             StatusKind::Stdout
         };
-        JoinOptions {
+        Ok(JoinOptions {
             subscription: self.subscription,
             device: self.device.kind,
             device_id: self.device.which,
@@ -161,8 +169,8 @@ impl JoinArguments {
             realtime: !self.no_realtime,
             catch_signals: true,
             status,
-            ..JoinOptions::new(self.link, self.name)
-        }
+            ..JoinOptions::new(link, self.name)
+        })
     }
 }
 
@@ -198,7 +206,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Devices(arguments) => devices::run(arguments),
         Command::Join(arguments) => {
             let json = arguments.json;
-            report(&join(&arguments.into_options()), json)
+            let outcome = arguments.into_options().and_then(|options| join(&options));
+            report(&outcome, json)
         }
     }
 }
@@ -239,7 +248,14 @@ mod tests {
     fn help_names_every_option() {
         Arguments::command().debug_assert();
         let help = Arguments::command().render_help().to_string();
-        for word in ["Examples:", "palpate-script/1", "recorder", "PALPATE_LOG"] {
+        for word in [
+            "Examples:",
+            "palpate-script/1",
+            "recorder",
+            "PALPATE_LOG",
+            "PALPATE_LINK",
+            "--link-file",
+        ] {
             assert!(help.contains(word), "{word}: {help}");
         }
     }
@@ -250,7 +266,7 @@ mod tests {
         let Command::Join(arguments) = Arguments::parse_from(line.split(' ')).command else {
             panic!("join was asked for");
         };
-        let options = arguments.into_options();
+        let options = arguments.into_options().unwrap();
         assert_eq!((options.link.as_str(), options.name.as_str()), ("L", "Ada"));
         assert_eq!(options.duration, Some(Duration::from_millis(2500)));
         assert_eq!(options.status, StatusKind::Stderr);

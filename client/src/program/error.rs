@@ -4,12 +4,14 @@ use std::path::PathBuf;
 
 use palpate_device::ScriptError;
 use palpate_device::backend::replay::MotionError;
+use palpate_protocol::handshake::Refused;
 use palpate_protocol::link::LinkError;
+use palpate_protocol::session::CloseReason;
 use palpate_protocol::{ModelHash, ProtocolError, Role};
 use palpate_tissue::{FileError, WriteError};
 use palpate_transport::TransportError;
 
-use crate::{DeviceError, Summary};
+use crate::{DeviceError, LinkSourceError, Summary};
 
 /// Error of a run, with a message for the user.
 #[derive(Debug, thiserror::Error)]
@@ -17,6 +19,9 @@ pub enum ClientError {
     /// The join link is invalid.
     #[error(transparent)]
     Link(#[from] LinkError),
+    /// No join link can be read.
+    #[error(transparent)]
+    LinkSource(#[from] LinkSourceError),
     /// The script is invalid.
     #[error("the script {}: {source}", path.display())]
     Script {
@@ -55,8 +60,14 @@ pub enum ClientError {
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
     /// The server rejected this participant.
+    #[error("the server rejected you: {}", .0.sentence)]
+    Refused(Refused),
+    /// The server ended the session before it admitted this participant.
     #[error("the server rejected you: {0}")]
-    Refused(String),
+    Goodbye(String),
+    /// The connection was lost before the server admitted this participant.
+    #[error("joining failed: {0}")]
+    LostWhileJoining(CloseReason),
     /// The session ended while joining.
     #[error("the session ended while joining: {0}")]
     EndedWhileJoining(String),
@@ -134,6 +145,7 @@ impl ClientError {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Link(_)
+            | Self::LinkSource(_)
             | Self::Script { .. }
             | Self::Motion { .. }
             | Self::NoScript(_)

@@ -12,7 +12,7 @@ use palpate_site::{ConnectionStatus, Reach, Site};
 use palpate_tissue::{Staged, decode_model};
 use palpate_transport::threads::{ThreadClass, cpu_time, join, leave, without_real_time};
 
-use super::status::{Status, fetch_progress};
+use super::status::{Status, fetch_progress, retry_lines};
 use super::supervision::Supervision;
 use crate::devices::{self, DeviceChoice, Guide, tool_description};
 use crate::network::{Joining, MotionThread, Network, SeatFile};
@@ -64,6 +64,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         hello,
         seat,
         reconnect: options.reconnect,
+        report: retry_lines(options.status),
         stop: Arc::clone(&options.stop),
         catch_signals: options.catch_signals,
     };

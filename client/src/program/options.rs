@@ -32,7 +32,7 @@ pub enum StartAt {
 }
 
 /// Options of [`run`](crate::run).
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct JoinOptions {
     /// The join link as the server printed it.
     pub link: String,
@@ -54,7 +54,8 @@ pub struct JoinOptions {
     pub start_at: StartAt,
     /// Leave after this time; `None` stays until the session ends.
     pub duration: Option<Duration>,
-    /// How long to try to reconnect after a lost connection; the server keeps the seat for [`SEAT_RETENTION`].
+    /// How long to try again when the server is busy or not reached, also after a lost connection; the server keeps the
+    /// seat for [`SEAT_RETENTION`].
     pub reconnect: Duration,
     /// Folder of the seat file, with which a run after a crash resumes its seat. `None` keeps nothing.
     pub state: Option<PathBuf>,

@@ -6,8 +6,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use palpate_protocol::{ClientTime, Span};
 
 use crate::StatusKind;
-use crate::network::FetchProgress;
-use crate::realtime::LoopStats;
+use crate::network::{FetchProgress, RetryReport};
+use crate::realtime::{LoopStats, monotonic_now};
 use crate::replica::{Part, Progress};
 
 /// Update period on a terminal: short enough to see force changes.
@@ -140,6 +140,12 @@ impl Status {
             }
         }
     }
+}
+
+/// Prints the failed attempts of a client that has not joined yet.
+pub(super) fn retry_lines(kind: StatusKind) -> RetryReport {
+    let mut status = Status::new(kind, monotonic_now());
+    Box::new(move |retry| status.print(&retry.to_string()))
 }
 
 /// Progress bar of the model on standard error; only on a terminal.

@@ -107,7 +107,10 @@ impl Supervision<'_> {
         if now == self.connection {
             return;
         }
-        if now.reconnects > self.connection.reconnects {
+        if now.joined_again_as != self.connection.joined_again_as {
+            self.status
+                .print("the seat was gone; joined again as a new participant");
+        } else if now.reconnects > self.connection.reconnects {
             self.status.print("reconnected, in the same seat");
         }
         if let Some(why) = now.lost.as_ref().filter(|_| self.connection.lost.is_none()) {
@@ -115,6 +118,11 @@ impl Supervision<'_> {
                 "connection lost ({why}); no force; trying to reconnect for {} s",
                 self.options.reconnect.as_secs_f64()
             ));
+        }
+        if let Some(retry) = now.retry.as_ref()
+            && now.retry != self.connection.retry
+        {
+            self.status.print(&retry.to_string());
         }
         if now.requests_lost > self.connection.requests_lost {
             self.status
@@ -147,14 +155,16 @@ impl Supervision<'_> {
     pub(super) fn finish(mut self, ending: Ending) -> Result<Summary, ClientError> {
         self.status.close();
         let progress = self.threads.replica.progress();
+        let connection = self.network.session.connection.borrow().clone();
+        let welcome = &self.network.session.welcome;
         let mut summary = Summary {
             name: self.options.name.clone(),
-            role: self.network.session.welcome.role.word().to_owned(),
+            role: welcome.role.word().to_owned(),
             subscription: self.options.subscription.word().to_owned(),
-            participant: self.network.session.welcome.participant.0,
+            participant: connection.joined_again_as.unwrap_or(welcome.participant).0,
             device: self.threads.device,
-            reconnects: self.network.session.connection.borrow().reconnects,
-            requests_lost: self.network.session.connection.borrow().requests_lost,
+            reconnects: connection.reconnects,
+            requests_lost: connection.requests_lost,
             compensation_ms: progress.delay.as_millis_f64(),
             clock_error_bound_ms: progress.clock_error.map(Span::as_millis_f64),
             realtime: "no force loop".to_owned(),

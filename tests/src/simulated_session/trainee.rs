@@ -142,7 +142,8 @@ impl Trainee {
         let new = if self.solves { Site::new } else { Site::thin };
         self.site = Some(new(welcome, Arc::clone(&self.model), self.blade_length_m));
         let hello = self.hello.clone();
-        self.reconnector = Some(Reconnector::new(hello, welcome, PATIENCE, 0));
+        let seed = self.endpoint.seat as u64;
+        self.reconnector = Some(Reconnector::new(hello, welcome, PATIENCE, 0, seed));
     }
 
     fn act(&mut self, now: ClientTime) {
@@ -257,7 +258,7 @@ impl Participant for Trainee {
                 }
                 (ClientEvent::Closed(reason), None) => self.endpoint.check(Err(reason)),
                 (ClientEvent::Closed(CloseReason::Refused(refusal)), Some(reconnector)) => {
-                    reconnector.handle_refusal(refusal.sentence);
+                    reconnector.handle_refusal(refusal, now);
                 }
                 (ClientEvent::Closed(reason), Some(reconnector)) if !reconnector.is_connected() => {
                     reconnector.handle_failure(reason.to_string(), now);

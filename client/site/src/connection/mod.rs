@@ -1,6 +1,8 @@
 //! The participant's seat across connections, and its requests.
 
+mod backoff;
 mod reconnector;
 mod requests;
 
+pub use backoff::{BUSY_WAIT_FIRST, Backoff, Retry, is_temporary};
 pub use reconnector::{Action, ConnectionStatus, Farewell, Reconnector};

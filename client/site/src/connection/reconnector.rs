@@ -7,6 +7,8 @@
 //!     +-------resync of the whole log--------->+
 //! ```
 //!
+//! The waits are those of a [`Backoff`]. A participant without a tool whose seat is gone joins again under its name.
+//!
 //! The owner of the connections passes its inputs and the time to `handle_*`, calls
 //! [`handle_timeout`](Reconnector::handle_timeout) at [`poll_timeout`](Reconnector::poll_timeout), and carries out
 //! [`poll_action`](Reconnector::poll_action) until `None`.
@@ -14,22 +16,22 @@
 use std::collections::VecDeque;
 
 use palpate_protocol::compensation::DelaySchedule;
-use palpate_protocol::handshake::{Hello, Resume, Welcome};
+use palpate_protocol::handshake::{Hello, RefusalReason, Refused, Resume, Welcome};
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::{Request, RequestKind};
 use palpate_protocol::session::{ClientEvent, CloseReason};
-use palpate_protocol::{ClientTime, OperationId, RequestId, Span, TopologyHash};
+use palpate_protocol::{
+    ClientTime, Epoch, OperationId, ParticipantId, RequestId, Span, TopologyHash,
+};
 
+use super::backoff::{Backoff, Retry, is_temporary};
 use super::requests::{Requests, is_felt};
 
 /// Time after the session's `LinkLost` before the client reconnects. The server has then also dropped the connection.
 const SILENCE_MAX: Span = Span::from_millis(1000);
 
-/// Delay before the first attempt to reconnect; doubled for every further one.
+/// Wait before the first attempt to reconnect, without jitter.
 const WAIT_FIRST: Span = Span::from_millis(250);
-
-/// Maximum delay between two attempts.
-const WAIT_MAX: Span = Span::from_millis(8000);
 
 /// Timeout of one attempt. Handshake packets are retransmitted after 0.3, 0.6 and 1.2 s; beyond that a new handshake
 /// succeeds sooner.
@@ -43,8 +45,12 @@ const REPEAT_WITHIN: Span = Span::from_millis(10_000);
 pub struct ConnectionStatus {
     /// Cause while the connection is lost.
     pub lost: Option<String>,
+    /// The failed attempt, while the client waits for the next one.
+    pub retry: Option<Retry>,
     /// Number of reconnects.
     pub reconnects: u64,
+    /// Number of the participant after it joined again, because its seat was gone.
+    pub joined_again_as: Option<ParticipantId>,
     /// Requests that were dropped without a connection, or not answered in time.
     pub requests_lost: u64,
 }
@@ -89,10 +95,11 @@ struct Outage {
     why: String,
     began: ClientTime,
     is_connecting: bool,
+    /// Number of attempts so far.
+    attempts: u32,
     /// Time of the next attempt, or timeout of the present one.
     due: ClientTime,
-    /// Delay before the latest attempt.
-    wait: Span,
+    backoff: Backoff,
     last_error: Option<String>,
 }
 
@@ -101,8 +108,14 @@ struct Outage {
 pub struct Reconnector {
     hello: Hello,
     seat: Resume,
+    /// Whether the server no longer has the seat, so that the next attempt joins anew.
+    is_seat_gone: bool,
+    /// The session; another one has another log.
+    epoch: Epoch,
     /// How long to try to reconnect.
     patience: Span,
+    /// Seed of the next outage's jitter.
+    seed: u64,
     requests: Requests,
     /// The artificial delay, from the log.
     delay: DelaySchedule,
@@ -119,12 +132,16 @@ pub struct Reconnector {
 }
 
 impl Reconnector {
-    /// Starts after the first welcome, in the `run`-th run of this seat.
-    pub fn new(hello: Hello, welcome: &Welcome, patience: Span, run: u8) -> Self {
+    /// Starts after the first welcome, in the `run`-th run of this seat. The `seed` of the waits should differ between
+    /// clients.
+    pub fn new(hello: Hello, welcome: &Welcome, patience: Span, run: u8, seed: u64) -> Self {
         Self {
             hello,
             seat: Resume::after_welcome(welcome, None),
+            is_seat_gone: false,
+            epoch: welcome.epoch,
             patience,
+            seed,
             requests: Requests::new(welcome.participant).of_run(run),
             delay: DelaySchedule::new(&welcome.compensation),
             state: State::Connected { silent_until: None },
@@ -223,8 +240,8 @@ impl Reconnector {
         if self.is_connected() {
             self.actions.push_back(Action::Disconnect);
             self.lose(&why);
-            let mut outage = Outage::new(why, now);
-            outage.wait_for_next(now, self.patience);
+            let mut outage = self.outage(why, now);
+            outage.wait_for_next(now);
             self.state = State::Away(outage);
         }
     }
@@ -245,7 +262,8 @@ impl Reconnector {
             State::Ended => return,
         }
         self.actions.push_back(Action::Disconnect);
-        self.connect(Outage::new(why, now), now);
+        let outage = self.outage(why, now);
+        self.connect(outage, now);
     }
 
     /// Numbers and sends a request. Without a connection, or with `has_room` = false, it is lost and takes no number:
@@ -292,7 +310,7 @@ impl Reconnector {
                 self.actions.push_back(Action::Disconnect);
                 self.handle_failure("no answer".to_owned(), now);
             }
-            State::Away(outage) if now - outage.began >= self.patience => {
+            State::Away(outage) if outage.backoff.is_over(now) => {
                 let error = outage
                     .last_error
                     .map_or(String::new(), |e| format!(": {e}"));
@@ -314,6 +332,15 @@ impl Reconnector {
             return;
         };
         let away = now - outage.began;
+        let is_new_seat = std::mem::take(&mut self.is_seat_gone);
+        if is_new_seat && welcome.epoch != self.epoch {
+            let why = "the server has begun another session; join again".to_owned();
+            return self.close(CloseReason::ConnectionLost(why), Farewell::Final);
+        }
+        if is_new_seat {
+            self.requests = Requests::new(welcome.participant);
+            self.status.joined_again_as = Some(welcome.participant);
+        }
         if welcome.first_operation == OperationId(0) {
             self.resync_reason = None;
             self.delay = DelaySchedule::new(&welcome.compensation);
@@ -327,6 +354,7 @@ impl Reconnector {
                 .push_back(Action::Deliver(ClientEvent::LinkRestored));
         }
         self.status.reconnects += u64::from(self.status.lost.take().is_some());
+        self.status.retry = None;
         if away > REPEAT_WITHIN {
             self.given_up = Some(self.requests.last());
         } else {
@@ -340,26 +368,70 @@ impl Reconnector {
 
     /// The attempt failed, and a later one may succeed.
     pub fn handle_failure(&mut self, error: String, now: ClientTime) {
+        self.fail(error, false, now);
+    }
+
+    /// The server refused the attempt. A later one may succeed after a refusal for load, and after the loss of a seat
+    /// without a tool. The seat of a tool is not replaced, because the tool would appear anew in the middle of a motion.
+    pub fn handle_refusal(&mut self, refused: Refused, now: ClientTime) {
+        if !matches!(self.state, State::Away(_)) {
+            return;
+        }
+        let can_join_again = !self.is_seat_gone && !self.hello.role.has_tool();
+        if is_temporary(&refused.reason) {
+            self.fail(refused.sentence, true, now);
+        } else if refused.reason == RefusalReason::NoSuchSeat && can_join_again {
+            self.is_seat_gone = true;
+            if let State::Away(outage) = std::mem::replace(&mut self.state, State::Ended) {
+                self.connect(outage, now);
+            }
+        } else {
+            self.handle_dead_end(refused.sentence);
+        }
+    }
+
+    /// The attempt failed, and so would every later one: the server is another one, or ends the session.
+    pub fn handle_dead_end(&mut self, sentence: String) {
+        self.close(CloseReason::ConnectionLost(sentence), Farewell::Open);
+    }
+
+    fn fail(&mut self, error: String, is_busy: bool, now: ClientTime) {
         if let State::Away(outage) = &mut self.state {
-            outage.last_error = Some(error);
-            outage.wait_for_next(now, self.patience);
+            outage.last_error = Some(error.clone());
+            outage.wait_for_next(now);
+            self.status.retry = Some(Retry {
+                is_busy,
+                cause: error,
+                wait: outage.due - now,
+                attempt: outage.attempts + 1,
+            });
             // The connection of a resync was not lost before; now it is.
             let why = outage.why.clone();
             self.lose(&why);
         }
     }
 
-    /// The attempt failed, and so would every later one: the seat was refused, or the server is another one.
-    pub fn handle_refusal(&mut self, sentence: String) {
-        self.close(CloseReason::ConnectionLost(sentence), Farewell::Open);
+    fn outage(&mut self, why: String, now: ClientTime) -> Outage {
+        self.seed = self.seed.wrapping_add(1);
+        Outage {
+            why,
+            began: now,
+            is_connecting: false,
+            attempts: 0,
+            due: now,
+            backoff: Backoff::new(WAIT_FIRST, self.patience, now, self.seed),
+            last_error: None,
+        }
     }
 
     fn connect(&mut self, mut outage: Outage, now: ClientTime) {
         outage.is_connecting = true;
+        outage.attempts += 1;
         outage.due = now + ATTEMPT_MAX;
         self.state = State::Away(outage);
+        self.status.retry = None;
         let hello = Hello {
-            resume: Some(self.seat),
+            resume: (!self.is_seat_gone).then_some(self.seat),
             ..self.hello.clone()
         };
         self.actions
@@ -387,22 +459,10 @@ impl Reconnector {
 }
 
 impl Outage {
-    fn new(why: String, now: ClientTime) -> Self {
-        Self {
-            why,
-            began: now,
-            is_connecting: false,
-            due: now,
-            wait: Span::ZERO,
-            last_error: None,
-        }
-    }
-
-    /// Waits for the next attempt, twice as long as before the latest one.
-    fn wait_for_next(&mut self, now: ClientTime, patience: Span) {
+    /// Waits for the next attempt. Once the patience is over, the wait ends at once.
+    fn wait_for_next(&mut self, now: ClientTime) {
         self.is_connecting = false;
-        self.wait = (self.wait + self.wait).clamp(WAIT_FIRST, WAIT_MAX);
-        self.due = (now + self.wait).min(self.began + patience);
+        self.due = now + self.backoff.wait(now).unwrap_or(Span::ZERO);
     }
 }
 

@@ -120,12 +120,14 @@ impl Site {
         }
     }
 
-    /// Processes a resumed connection: the log continues, or begins again with a resync.
+    /// Processes a resumed connection: the log continues, or begins again with a resync. A participant that joined
+    /// again has another number.
     pub(super) fn handle_resumed(
         &mut self,
         welcome: &Welcome,
         now: ClientTime,
     ) -> Result<(), SiteError> {
+        self.me = welcome.participant;
         let had = self.counters.operations + self.deferred.len() as u64;
         let first = welcome.first_operation;
         if first.0 == 0 && (had > 0 || self.resync_state == ResyncState::Asked) {

@@ -12,6 +12,11 @@ const STATES: [&str; 4] = ["Connected", "Waiting", "Connecting", "Ended"];
 
 const PATIENCE: Span = Span::from_millis(60_000);
 
+const SEED: u64 = 7;
+
+/// Longer than the first wait of any seed, ms.
+const FIRST_WAIT_IS_OVER: i64 = 375;
+
 fn at(ms: i64) -> ClientTime {
     ClientTime::from_micros(ms * 1000)
 }
@@ -44,15 +49,32 @@ fn welcome(first: u64) -> Box<Welcome> {
 
 /// A connected machine that has five operations of the log.
 fn connected() -> Reconnector {
+    connected_as(Role::Trainee)
+}
+
+fn connected_as(role: Role) -> Reconnector {
     let hello = Hello {
         name: "ann".to_owned(),
-        role: Role::Trainee,
+        role,
         grant: Grant([0; 16]),
         tool: None,
         subscription: Subscription::Full,
         resume: None,
     };
-    Reconnector::new(hello, &welcome(5), PATIENCE, 0)
+    Reconnector::new(hello, &welcome(5), PATIENCE, 0, SEED)
+}
+
+/// A machine of this role in its first attempt to reconnect.
+fn connecting_as(role: Role) -> Reconnector {
+    let mut machine = connected_as(role);
+    machine.handle_lost("a test".to_owned(), at(0));
+    machine.handle_timeout(at(FIRST_WAIT_IS_OVER));
+    assert_eq!(state_of(&machine), "Connecting");
+    machine
+}
+
+fn refusal(reason: RefusalReason) -> Refused {
+    Refused::because(reason)
 }
 
 fn lost() -> Reconnector {
@@ -118,7 +140,8 @@ fn run(from: &str, what: &str) -> &'static str {
     let mut machine = lost();
     match from {
         "Connected" => machine = connected(),
-        "Connecting" => machine.handle_timeout(at(250)),
+        "Connecting" if what.contains("spectator") => machine = connecting_as(Role::Spectator),
+        "Connecting" => machine = connecting_as(Role::Trainee),
         _ => {}
     }
     assert_eq!(state_of(&machine), from);
@@ -139,16 +162,23 @@ fn run(from: &str, what: &str) -> &'static str {
             machine.handle_event(ClientEvent::Closed(reason), at(300));
         }
         "the participant leaves" => machine.handle_leave(),
-        "the delay passes" => machine.handle_timeout(at(250)),
+        "the delay passes" => machine.handle_timeout(at(FIRST_WAIT_IS_OVER)),
         "60 s pass" => machine.handle_timeout(at(60_000)),
-        "a welcome" => machine.handle_welcome(welcome(5), at(300)),
+        "a welcome" => machine.handle_welcome(welcome(5), at(400)),
         "a welcome to a part of the log after the replica differed" => {
-            machine.handle_resync("a test".to_owned(), at(260));
-            machine.handle_welcome(welcome(5), at(300));
+            machine.handle_resync("a test".to_owned(), at(390));
+            machine.handle_welcome(welcome(5), at(400));
         }
-        "no answer for 4 s" => machine.handle_timeout(at(4250)),
-        "the attempt fails" => machine.handle_failure("a test".to_owned(), at(300)),
-        "the seat is refused" => machine.handle_refusal("a test".to_owned()),
+        "no answer for 4 s" => machine.handle_timeout(at(FIRST_WAIT_IS_OVER + 4000)),
+        "the attempt fails" => machine.handle_failure("a test".to_owned(), at(400)),
+        "a refusal for load" => {
+            machine.handle_refusal(refusal(RefusalReason::Full { seats: 8 }), at(400));
+        }
+        "the seat is gone" | "the seat of a spectator is gone" => {
+            machine.handle_refusal(refusal(RefusalReason::NoSuchSeat), at(400));
+        }
+        "another refusal" => machine.handle_refusal(refusal(RefusalReason::LogFull), at(400)),
+        "another server" => machine.handle_dead_end("a test".to_owned()),
         other => panic!("no test for \"{other}\" of a reconnect"),
     }
     state_of(&machine)
@@ -170,8 +200,8 @@ fn rejected_request_is_counted_and_takes_no_number() {
     machine.handle_lost("a test".to_owned(), at(0));
     machine.handle_request(cut(), true);
     assert_eq!(machine.status().requests_lost, 2);
-    machine.handle_timeout(at(250));
-    machine.handle_welcome(welcome(5), at(300));
+    machine.handle_timeout(at(FIRST_WAIT_IS_OVER));
+    machine.handle_welcome(welcome(5), at(400));
     assert_eq!(
         numbers_sent(&mut machine),
         [1, 2],
@@ -184,7 +214,7 @@ fn old_requests_are_lost_instead_of_repeated() {
     let mut machine = connected();
     machine.handle_request(cut(), true);
     machine.handle_lost("a test".to_owned(), at(0));
-    machine.handle_timeout(at(250));
+    machine.handle_timeout(at(FIRST_WAIT_IS_OVER));
     actions(&mut machine);
     machine.handle_welcome(welcome(5), at(10_001));
     assert!(numbers_sent(&mut machine).is_empty());
@@ -197,7 +227,7 @@ fn old_cut_that_the_missing_log_contains_is_not_lost() {
     let mut machine = connected();
     machine.handle_request(cut(), true);
     machine.handle_lost("a test".to_owned(), at(0));
-    machine.handle_timeout(at(250));
+    machine.handle_timeout(at(FIRST_WAIT_IS_OVER));
     machine.handle_welcome(welcome(5), at(10_001));
     machine.handle_request(cut(), true);
     machine.handle_event(ClientEvent::Operation(own_cut(5)), at(10_002));
@@ -205,28 +235,27 @@ fn old_cut_that_the_missing_log_contains_is_not_lost() {
     assert_eq!(machine.status().requests_lost, 0);
     // The later cut is still open: a short absence repeats it.
     machine.handle_lost("a test".to_owned(), at(10_100));
-    machine.handle_timeout(at(10_350));
+    machine.handle_timeout(at(10_100 + FIRST_WAIT_IS_OVER));
     actions(&mut machine);
-    machine.handle_welcome(welcome(6), at(10_400));
+    machine.handle_welcome(welcome(6), at(10_500));
     assert_eq!(numbers_sent(&mut machine), [2]);
 }
 
 #[test]
 fn delays_between_attempts_double_until_patience_is_over() {
     let mut machine = lost();
-    let mut waits = Vec::new();
+    let mut nominal = 250_000;
+    let mut now = at(0);
     while state_of(&machine) != "Ended" {
         let due = machine.poll_timeout().unwrap();
-        waits.push(due.as_micros() / 1000);
+        let wait = (due - now).as_micros();
+        assert!(wait >= nominal / 2 || due == at(60_000), "{wait}");
+        assert!(wait < nominal * 3 / 2, "{wait}");
+        (nominal, now) = ((2 * nominal).min(8_000_000), due);
         machine.handle_timeout(due);
         machine.handle_failure("unreachable".to_owned(), due);
     }
-    assert_eq!(
-        waits,
-        [
-            250, 750, 1750, 3750, 7750, 15_750, 23_750, 31_750, 39_750, 47_750, 55_750, 60_000
-        ]
-    );
+    assert_eq!(now, at(60_000));
     let all = actions(&mut machine);
     let Some(Action::Deliver(ClientEvent::Closed(reason))) = all.iter().nth_back(1) else {
         panic!("{all:?}");
@@ -241,13 +270,13 @@ fn delays_between_attempts_double_until_patience_is_over() {
 #[test]
 fn resync_asks_for_the_whole_log_once() {
     let mut machine = lost();
-    machine.handle_timeout(at(250));
+    machine.handle_timeout(at(FIRST_WAIT_IS_OVER));
     assert_eq!(position_asked(&mut machine), Some(5));
-    machine.handle_resync("it drifts".to_owned(), at(260));
-    machine.handle_welcome(welcome(5), at(300));
+    machine.handle_resync("it drifts".to_owned(), at(390));
+    machine.handle_welcome(welcome(5), at(400));
     assert_eq!(position_asked(&mut machine), Some(0));
-    machine.handle_resync("it drifts".to_owned(), at(310));
-    machine.handle_welcome(welcome(0), at(350));
+    machine.handle_resync("it drifts".to_owned(), at(410));
+    machine.handle_welcome(welcome(0), at(450));
     assert_eq!(state_of(&machine), "Connected");
     assert_eq!(position_asked(&mut machine), None);
 }
@@ -256,16 +285,16 @@ fn resync_asks_for_the_whole_log_once() {
 fn attempt_after_a_resync_without_connection_asks_for_the_whole_log() {
     let mut machine = lost();
     machine.handle_resync("it drifts".to_owned(), at(100));
-    machine.handle_timeout(at(250));
+    machine.handle_timeout(at(FIRST_WAIT_IS_OVER));
     assert_eq!(position_asked(&mut machine), Some(0));
-    machine.handle_welcome(welcome(0), at(300));
+    machine.handle_welcome(welcome(0), at(400));
     assert_eq!(state_of(&machine), "Connected");
 }
 
 #[test]
 fn link_is_reported_lost_and_restored_once() {
     let mut machine = lost();
-    for t in [250, 1000] {
+    for t in [400, 1500] {
         machine.handle_timeout(at(t));
         machine.handle_failure("unreachable".to_owned(), at(t));
     }
@@ -282,4 +311,78 @@ fn link_is_reported_lost_and_restored_once() {
         (machine.status().reconnects, machine.is_connected()),
         (1, true)
     );
+}
+
+#[test]
+fn refusal_for_load_is_reported_until_the_next_attempt() {
+    let mut machine = connecting_as(Role::Trainee);
+    machine.handle_refusal(refusal(RefusalReason::Full { seats: 8 }), at(400));
+    let retry = machine.status().retry.clone().unwrap();
+    assert!(retry.is_busy && retry.cause.contains("all 8 seats"));
+    assert_eq!(retry.attempt, 2);
+    let due = machine.poll_timeout().unwrap();
+    assert_eq!(retry.wait, due - at(400));
+    machine.handle_timeout(due);
+    assert_eq!(machine.status().retry, None);
+    assert_eq!(position_asked(&mut machine), Some(5), "the seat is kept");
+}
+
+#[test]
+fn spectator_without_a_seat_joins_again_under_its_name() {
+    let mut machine = connecting_as(Role::Spectator);
+    actions(&mut machine);
+    machine.handle_refusal(refusal(RefusalReason::NoSuchSeat), at(400));
+    // An attempt that fails does not bring the old seat back.
+    for failed in [false, true] {
+        if failed {
+            machine.handle_failure("unreachable".to_owned(), at(500));
+            machine.handle_timeout(machine.poll_timeout().unwrap());
+        }
+        let all = actions(&mut machine);
+        let connects = |action: &Action| match action {
+            Action::Connect(hello, _) => Some(hello.name == "ann" && hello.resume.is_none()),
+            _ => None,
+        };
+        assert_eq!(all.iter().find_map(connects), Some(true), "{all:?}");
+    }
+    let again = Welcome {
+        participant: ParticipantId(9),
+        resume_token: ResumeToken([1; 16]),
+        ..*welcome(0)
+    };
+    machine.handle_welcome(Box::new(again), at(2000));
+    assert_eq!(state_of(&machine), "Connected");
+    let status = machine.status();
+    assert_eq!(status.joined_again_as, Some(ParticipantId(9)));
+    assert_eq!(status.reconnects, 1);
+    // The next outage resumes the new seat.
+    machine.handle_lost("a test".to_owned(), at(3000));
+    machine.handle_timeout(at(3000 + FIRST_WAIT_IS_OVER));
+    let resumed = |action| match action {
+        Action::Connect(hello, _) => hello.resume,
+        _ => None,
+    };
+    let seat = actions(&mut machine).into_iter().find_map(resumed).unwrap();
+    assert_eq!(seat.participant, ParticipantId(9));
+    assert!(seat.token.matches(&ResumeToken([1; 16])));
+}
+
+#[test]
+fn spectator_ends_when_neither_its_seat_nor_its_session_exists() {
+    let mut machine = connecting_as(Role::Spectator);
+    machine.handle_refusal(refusal(RefusalReason::NoSuchSeat), at(400));
+    let other = Welcome {
+        epoch: Epoch(2),
+        ..*welcome(0)
+    };
+    machine.handle_welcome(Box::new(other), at(500));
+    assert_eq!(state_of(&machine), "Ended");
+    let last = actions(&mut machine).pop();
+    assert!(matches!(last, Some(Action::End(Farewell::Final))));
+
+    let mut machine = connecting_as(Role::Spectator);
+    for _ in 0..2 {
+        machine.handle_refusal(refusal(RefusalReason::NoSuchSeat), at(400));
+    }
+    assert_eq!(state_of(&machine), "Ended", "one new attempt, not a loop");
 }
