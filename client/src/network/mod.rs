@@ -17,7 +17,8 @@ use palpate_protocol::{JoinLink, ModelHash, Span};
 use palpate_site::{ConnectionStatus, Farewell, Reconnector};
 use palpate_transport::threads::{self, ThreadClass};
 use palpate_transport::{
-    ClientCommand, ClientHandle, DriverStats, TransportError, connect, fetch_model, spawn_client,
+    ClientCommand, ClientHandle, DriverStats, ModelRequest, TransportError, connect, fetch_model,
+    spawn_client,
 };
 use tokio::sync::{mpsc as async_mpsc, watch};
 use tracing::Instrument as _;
@@ -195,7 +196,7 @@ async fn serve(
     let session = session.run(handle);
     tokio::pin!(session);
     let fetched = tokio::select! {
-        fetched = fetch(link, welcome.model.hash, progress, joining.reconnect) => fetched,
+        fetched = fetch(link, ModelRequest::of(&welcome), progress, joining.reconnect) => fetched,
         _ = &mut session => return drop(sender.send(Err(ended(&inbox)))),
         () = until(stop) => Err(stopped()),
     };
@@ -311,13 +312,13 @@ fn not_joined(reason: CloseReason) -> ClientError {
 /// Fetches the model; retries lost connections until `patience` is over.
 async fn fetch(
     link: &JoinLink,
-    expected: ModelHash,
+    request: ModelRequest,
     mut progress: FetchProgress,
     patience: Duration,
 ) -> Result<Vec<u8>, ClientError> {
     let give_up = tokio::time::Instant::now() + patience;
     let bytes = loop {
-        match fetch_model(link, expected, &mut progress).await {
+        match fetch_model(link, request, &mut progress).await {
             Ok(bytes) => break bytes,
             Err(error @ (TransportError::Lost { .. } | TransportError::NoAnswer { .. }))
                 if tokio::time::Instant::now() < give_up =>
@@ -328,7 +329,7 @@ async fn fetch(
             Err(error) => return Err(error.into()),
         }
     };
-    let found = ModelHash(xxhash_rust::xxh3::xxh3_64(&bytes));
+    let (expected, found) = (request.hash, ModelHash(xxhash_rust::xxh3::xxh3_64(&bytes)));
     if found == expected {
         Ok(bytes)
     } else {
