@@ -1,5 +1,6 @@
 //! Errors in bytes from the peer.
 
+use crate::Span;
 use crate::handshake::PROTOCOL_VERSION;
 
 /// A violation of the protocol on the wire. It closes at most the one session
@@ -129,5 +130,23 @@ pub enum ProtocolError {
         bytes: usize,
         /// The limit in bytes.
         limit: usize,
+    },
+    /// The peer takes nothing of its operations stream.
+    #[error(
+        "the operations stream took nothing for {} s while operations wait; this connection is too slow to follow", .waited.as_secs_f64()
+    )]
+    Stalled {
+        /// How long nothing was taken.
+        waited: Span,
+    },
+    /// The peer sends more requests than are answered or refused.
+    #[error(
+        "too many requests: {accepted} a second are answered and {refused} a second refused; send fewer"
+    )]
+    RequestFlood {
+        /// The rate of accepted requests, per second.
+        accepted: u32,
+        /// The rate of refused requests, per second.
+        refused: u32,
     },
 }

@@ -34,6 +34,7 @@ mod sequence;
 pub mod session;
 mod time;
 pub mod timeline;
+mod token_bucket;
 pub mod tool;
 pub mod verlet;
 
@@ -45,3 +46,4 @@ pub use link::{CertificateHash, Grant, JoinLink, ResumeToken};
 pub use sample::{LocalSample, Pose, ToolSample, ToolTrack};
 pub use sequence::{Arrival, SequenceWindow, WINDOW_BITS};
 pub use time::{ClientTime, ServerTime, Span};
+pub use token_bucket::TokenBucket;

@@ -18,7 +18,8 @@ use palpate_protocol::{JoinLink, ModelHash, Span};
 use palpate_site::{ConnectionStatus, Reconnector, is_temporary};
 use palpate_transport::threads::{self, ThreadClass};
 use palpate_transport::{
-    ClientCommand, ClientHandle, DriverStats, connect, fetch_model, spawn_client,
+    ClientCommand, ClientHandle, DriverStats, ModelRequest, TransportError, connect, fetch_model,
+    spawn_client,
 };
 use tokio::sync::{mpsc as async_mpsc, watch};
 use tracing::Instrument as _;
@@ -199,7 +200,7 @@ async fn serve(
     tokio::pin!(session);
     let retries = Retries::new(patience, &mut report);
     let fetched = tokio::select! {
-        fetched = fetch(link, welcome.model.hash, progress, retries) => fetched,
+        fetched = fetch(link, ModelRequest::of(&welcome), progress, retries) => fetched,
         () = &mut session => return drop(sender.send(Err(ended(&inbox)))),
         () = until(stop) => Err(stopped()),
     };
@@ -327,17 +328,17 @@ fn not_joined(reason: CloseReason) -> ClientError {
 /// Fetches the model.
 async fn fetch(
     link: &JoinLink,
-    expected: ModelHash,
+    request: ModelRequest,
     mut progress: FetchProgress,
     mut retries: Retries<'_>,
 ) -> Result<Vec<u8>, ClientError> {
     let bytes = loop {
-        match fetch_model(link, expected, &mut progress).await {
+        match fetch_model(link, request, &mut progress).await {
             Ok(bytes) => break bytes,
             Err(error) => retries.wait_after(error.into()).await?,
         }
     };
-    let found = ModelHash(xxhash_rust::xxh3::xxh3_64(&bytes));
+    let (expected, found) = (request.hash, ModelHash(xxhash_rust::xxh3::xxh3_64(&bytes)));
     if found == expected {
         Ok(bytes)
     } else {

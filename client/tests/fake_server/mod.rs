@@ -108,8 +108,9 @@ impl Fake {
             bytes[middle] ^= 1;
         }
         let bytes: Arc<[u8]> = bytes.into();
-        let models: ModelSource = Arc::new(move |grant, hash| {
-            (grant == GRANT && hash == info.hash).then(|| Arc::clone(&bytes))
+        let models: ModelSource = Arc::new(move |participant, token, hash| {
+            let has_seat = participant == ME && token.matches(&TOKEN);
+            (has_seat && hash == info.hash).then(|| Arc::clone(&bytes))
         });
         let identity = ServerIdentity::generate().unwrap();
         let address = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);

@@ -36,7 +36,7 @@ use link::Link;
 pub use client::{ClientSession, DELAY_REPORT_PERIOD, PROBE_PERIOD, PROBE_PERIOD_FIRST};
 pub use link::{LinkStats, NoiseCounters};
 pub use picture::{PICTURE_RATE_BITS_PER_S, PICTURE_STEP_UM, Picture, PictureStats};
-pub use server::{FUTURE_MAX, REQUESTS_PER_SECOND_MAX, ServerPeer};
+pub use server::{FUTURE_MAX, REFUSALS_BURST_MAX, REQUESTS_PER_SECOND_MAX, ServerPeer};
 
 /// A participant that is silent for this long is removed together with its tool.
 pub const PEER_SILENCE: Span = Span::from_millis(2000);
@@ -50,9 +50,18 @@ pub const HANDSHAKE_TIMEOUT: Span = Span::from_millis(10_000);
 /// The longest time between two datagrams of either side, so that silence is detected.
 pub const HEARTBEAT: Span = Span::from_millis(100);
 
-/// The most bytes of operations that one peer's queue holds; beyond, the peer is too slow and is closed.
-/// It holds a thousand strokes of the longest kind.
+/// The most bytes of operations that wait for one peer, encoded or not: a new client receives the whole
+/// log. Beyond, the peer is too slow and is closed. It holds a thousand strokes of the longest kind.
 pub const STREAM_BACKLOG_MAX_BYTES: usize = 32 * 1024 * 1024;
+
+/// The high-water mark of encoded operations for one peer, bytes. Above it the shell leaves operations in
+/// its own queue, where all peers share each of them ([`ServerPeer::has_room`]). It is the product of
+/// 10 Mbit/s and 200 ms.
+pub const OUTBOX_HIGH_WATER_BYTES: usize = 256 * 1024;
+
+/// A peer whose operations stream takes nothing for this long, while operations wait, is closed. It is
+/// checked once per such time, hence after at most twice as long.
+pub const STREAM_STALL_MAX: Span = Span::from_millis(10_000);
 
 /// The most datagrams that may wait in one session; beyond, the oldest is dropped and counted.
 pub const DATAGRAM_BACKLOG_MAX: usize = 64;
@@ -209,6 +218,8 @@ pub enum PeerDatagram {
 
 #[cfg(test)]
 mod bad_peer_tests;
+#[cfg(test)]
+mod overload_tests;
 #[cfg(test)]
 mod set_clock_tests;
 #[cfg(test)]

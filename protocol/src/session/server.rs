@@ -16,11 +16,17 @@ use crate::session::preamble::{self, PreambleReader};
 use crate::session::{
     CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, HEARTBEAT, Link, LinkStats, MotionRound,
     PEER_SILENCE, PeerDatagram, PeerEvent, PeerMessage, PeerMotion, STREAM_BACKLOG_MAX_BYTES,
+    STREAM_STALL_MAX,
 };
-use crate::{OperationId, ParticipantId, ProtocolError, ServerTime, Span, ToolTrack};
+use crate::{OperationId, ParticipantId, ProtocolError, ServerTime, Span, TokenBucket, ToolTrack};
 
-/// More requests than this in one second are refused with [`RequestRefusal::TooMany`].
+/// Rate and burst of accepted requests. Further ones are refused with [`RequestRefusal::TooMany`].
 pub const REQUESTS_PER_SECOND_MAX: u32 = 50;
+
+/// Burst of refused requests; their rate is [`REQUESTS_PER_SECOND_MAX`], too. A client that sends more
+/// ignores its refusals, and its session is closed. A client that repeats all requests of a broken
+/// connection stays below it.
+pub const REFUSALS_BURST_MAX: u32 = 200;
 
 /// The largest time of a sample ahead of now; a later one makes the datagram noise.
 pub const FUTURE_MAX: Span = Span::from_millis(500);
@@ -72,13 +78,15 @@ pub struct ServerPeer {
     started: ServerTime,
     last_received: ServerTime,
     heartbeat_due: ServerTime,
-    /// The second that is being counted, and the requests in it.
-    requests: (ServerTime, u32),
+    /// The rate of accepted requests, and that of refused ones.
+    accepted: TokenBucket,
+    refused: TokenBucket,
 }
 
 impl ServerPeer {
     /// Waits for a client's preamble and hello.
     pub fn new(now: ServerTime) -> Self {
+        let rate = f64::from(REQUESTS_PER_SECOND_MAX);
         Self {
             state: State::Preamble(PreambleReader::default()),
             decoder: FrameDecoder::new(codec::HELLO_MAX_BYTES),
@@ -89,7 +97,8 @@ impl ServerPeer {
             started: now,
             last_received: now,
             heartbeat_due: now,
-            requests: (now, 0),
+            accepted: TokenBucket::new(rate, rate, now - ServerTime::ZERO),
+            refused: TokenBucket::new(rate, REFUSALS_BURST_MAX.into(), now - ServerTime::ZERO),
         }
     }
 
@@ -98,6 +107,7 @@ impl ServerPeer {
         if let Err(error) = self.read_stream(bytes, now) {
             self.violation(error);
         }
+        self.outbox.note(now);
     }
 
     fn read_stream(&mut self, mut bytes: &[u8], now: ServerTime) -> Result<(), ProtocolError> {
@@ -172,21 +182,22 @@ impl ServerPeer {
             self.close(CloseReason::Left);
             return Ok(());
         }
-        let (second, count) = self.requests;
-        self.requests = if now - second >= Span::from_millis(1000) {
-            (now, 1)
-        } else {
-            (second, count + 1)
-        };
-        if self.requests.1 > REQUESTS_PER_SECOND_MAX {
+        let at = now - ServerTime::ZERO;
+        if self.accepted.take(1.0, at) {
+            self.emit(PeerEvent::Request(request));
+            return Ok(());
+        }
+        if self.refused.take(1.0, at) {
             let refused = RequestRefused {
                 id: request.id,
                 reason: RequestRefusal::TooMany,
             };
             return self.outbox.push(&ServerMessage::RequestRefused(refused));
         }
-        self.emit(PeerEvent::Request(request));
-        Ok(())
+        Err(ProtocolError::RequestFlood {
+            accepted: REQUESTS_PER_SECOND_MAX,
+            refused: REQUESTS_PER_SECOND_MAX,
+        })
     }
 
     /// One datagram. Noise is counted and otherwise ignored.
@@ -272,6 +283,10 @@ impl ServerPeer {
             State::Joined { .. } => {
                 if now - self.last_received >= PEER_SILENCE {
                     self.close(CloseReason::Silent(PEER_SILENCE));
+                } else if self.outbox.is_stalled(now) {
+                    self.violation(ProtocolError::Stalled {
+                        waited: STREAM_STALL_MAX,
+                    });
                 } else if now >= self.heartbeat_due {
                     self.heartbeat_due = now + HEARTBEAT;
                     self.link.enqueue(Body::Delays(Vec::new()), now);
@@ -305,6 +320,7 @@ impl ServerPeer {
             return Ok(());
         }
         let result = self.write(message, now);
+        self.outbox.note(now);
         if let Err(error) = &result {
             self.close(CloseReason::Violation(error.clone()));
         }
@@ -451,8 +467,22 @@ impl ServerPeer {
             State::Preamble(_) | State::Hello | State::AwaitsRoom => {
                 Some(self.started + HANDSHAKE_TIMEOUT)
             }
-            State::Joined { .. } => Some(self.heartbeat_due.min(self.last_received + PEER_SILENCE)),
+            State::Joined { .. } => {
+                let due = self.heartbeat_due.min(self.last_received + PEER_SILENCE);
+                Some(self.outbox.due().map_or(due, |stall| due.min(stall)))
+            }
         }
+    }
+
+    /// Whether the shell may [`send`](Self::send) a further message: encoded messages wait for the stream
+    /// up to a high-water mark. Datagrams need no room.
+    pub fn has_room(&self) -> bool {
+        self.outbox.has_room()
+    }
+
+    /// Whether the room has welcomed the client.
+    pub fn is_joined(&self) -> bool {
+        matches!(self.state, State::Joined { .. })
     }
 
     /// Whether the session is over. The shell still sends the rest that

@@ -182,6 +182,16 @@ fn run_peer(from: &str, what: &str) -> &'static str {
         "a request out of range" => peer.handle_stream(&request(odd), now),
         "it leaves" => peer.handle_stream(&request(RequestKind::Leave), now),
         "the room sends too much" => peer.handle_overflow(),
+        "nothing is taken from the stream for 10 s" => {
+            let (_, late) = later(10_000);
+            peer.handle_stream(&[], late);
+            peer.handle_timeout(late);
+        }
+        "a flood of requests" => {
+            for _ in 0..=REQUESTS_PER_SECOND_MAX + REFUSALS_BURST_MAX {
+                peer.handle_stream(&request(fine.clone()), now);
+            }
+        }
         "the connection is lost" => peer.handle_disconnect("a test".into()),
         other => panic!("no test for \"{other}\" of the peer"),
     }

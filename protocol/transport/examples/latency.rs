@@ -153,7 +153,7 @@ async fn run(
 
 async fn measure(case: &Case, seconds: f64, seed: u64, json: bool) -> Result<(), Failure> {
     let identity = ServerIdentity::generate()?;
-    let models: ModelSource = Arc::new(|_, _| None);
+    let models: ModelSource = Arc::new(|_, _, _| None);
     let any_port: SocketAddr = (Ipv4Addr::LOCALHOST, 0).into();
     let server = Server::bind(any_port, &identity, models)?;
     let way = Way {
@@ -172,7 +172,8 @@ async fn measure(case: &Case, seconds: f64, seed: u64, json: bool) -> Result<(),
     };
     let mut client = connect(&link).await?;
     client.write(&[0]).await?;
-    let served = server.accept().await.ok_or("the server closed")?;
+    let mut served = server.accept().await.ok_or("the server closed")?;
+    served.admit();
     // The handshake's own packets are not the session's.
     tokio::time::sleep(Duration::from_millis(500)).await;
     let epoch = Instant::now();

@@ -24,8 +24,12 @@ pub(crate) const ALPN_BULK: &[u8] = b"palpate-bulk/1";
 /// Datagrams waiting inside quinn, bytes: 14 of the largest. A longer queue is only delay.
 const DATAGRAM_SEND_BUFFER: usize = 16 * 1024;
 
-/// Datagrams that arrived and were not read, bytes; the oldest are dropped beyond.
+/// Datagrams that arrived at a client and were not read, bytes; the oldest are dropped beyond.
 const DATAGRAM_RECEIVE_BUFFER: usize = 256 * 1024;
+
+/// ... and at the server, for each client: two seconds of motion, 250 datagrams of 50 B a second with
+/// quinn's 32 B for each. Older samples are useless.
+const SERVER_DATAGRAM_RECEIVE_BUFFER: usize = 32 * 1024;
 
 /// The idle timeout of a connection. The sessions notice silence much sooner. The timeout must outlast a
 /// handshake that loses several packets in a row with doubling waits (at 3 s, sessions over a path with
@@ -35,8 +39,13 @@ const IDLE: Duration = Duration::from_secs(8);
 /// The longest time without a packet, so that silence is detected.
 const KEEP_ALIVE: Duration = Duration::from_millis(500);
 
-/// Incoming attempts that wait for the server; quinn refuses more.
-const INCOMING_MAX: usize = 256;
+/// Incoming attempts that wait for the server's decision; quinn drops more.
+const INCOMING_MAX: usize = 1024;
+
+/// Bytes of further packets of such an attempt, and of all of them. The decision takes microseconds; the
+/// client repeats a lost packet.
+const INCOMING_BYTES_MAX: u64 = 4 * 1024;
+const INCOMING_BYTES_TOTAL_MAX: u64 = 1024 * 1024;
 
 /// A packet counts as lost after this many later arrivals. The default of 3 mistakes jitter for loss.
 const PACKET_THRESHOLD: u32 = 64;
@@ -47,8 +56,25 @@ const TIME_THRESHOLD: f32 = 1.5;
 /// Packets that may arrive before an acknowledgement goes out alone; the time for it, 25 ms, is not changed.
 const ACKNOWLEDGED_BEYOND: u32 = 12;
 
-/// Bytes of one stream that may arrive unread: the largest frame many times over.
+/// Bytes of one stream that may arrive unread at a client, and that it may send ahead: the largest frame
+/// many times over.
 const STREAM_WINDOW: u32 = 2 * 1024 * 1024;
+
+/// Bytes that a client may send on its streams before it is admitted: its preamble and the longest hello
+/// take 4.1 KiB.
+const PENDING_WINDOW: u32 = 8 * 1024;
+
+/// ... and afterwards: four of the largest frames.
+pub(crate) const ADMITTED_WINDOW: u32 = 256 * 1024;
+
+/// Bytes of the operations stream in flight to one client: 10 Mbit/s over 200 ms.
+const SERVER_SEND_WINDOW: u64 = 256 * 1024;
+
+/// ... and of a model: 80 Mbit/s over 100 ms.
+pub(crate) const BULK_SEND_WINDOW: u64 = 1024 * 1024;
+
+/// TLS messages that may arrive out of order at the server, bytes; a client's first one has at most 2 KiB.
+const SERVER_CRYPTO_BUFFER: usize = 4 * 1024;
 
 /// Length of the connection id in every packet towards a server, bytes; quinn's default is 8. It only
 /// finds the connection (the packet's authentication tag proves the sender). An id in use is drawn
@@ -92,6 +118,18 @@ fn session_transport() -> TransportConfig {
         .mtu_discovery_config(None)
         .enable_segmentation_offload(false)
         .congestion_controller_factory(Arc::new(FloorConfig));
+    t
+}
+
+/// Bounds what one connection makes the server buffer; see the crate's DECISIONS.md for the sum.
+fn server_transport() -> TransportConfig {
+    let mut t = session_transport();
+    // The window of a stream can not be changed later; that of the connection bounds all streams.
+    t.stream_receive_window(VarInt::from_u32(ADMITTED_WINDOW))
+        .receive_window(VarInt::from_u32(PENDING_WINDOW))
+        .send_window(SERVER_SEND_WINDOW)
+        .crypto_buffer_size(SERVER_CRYPTO_BUFFER)
+        .datagram_receive_buffer_size(Some(SERVER_DATAGRAM_RECEIVE_BUFFER));
     t
 }
 
@@ -140,8 +178,11 @@ pub(crate) fn server(identity: &ServerIdentity) -> Result<ServerConfig, Transpor
     tls.max_early_data_size = 0;
     let quic = QuicServerConfig::try_from(tls).map_err(certificate_error)?;
     let mut config = ServerConfig::with_crypto(Arc::new(quic));
-    config.transport_config(Arc::new(session_transport()));
-    config.max_incoming(INCOMING_MAX);
+    config.transport_config(Arc::new(server_transport()));
+    config
+        .max_incoming(INCOMING_MAX)
+        .incoming_buffer_size(INCOMING_BYTES_MAX)
+        .incoming_buffer_size_total(INCOMING_BYTES_TOTAL_MAX);
     // Gateways forget their mappings, and clients change networks.
     config.migration(true);
     Ok(config)

@@ -9,6 +9,7 @@ use crate::TransportError;
 use crate::client::socket_towards;
 use crate::error::{GOODBYE, describe_connection_error};
 use crate::rate_cap::RateCap;
+use crate::slots::Slot;
 
 /// The longest reason that is sent when closing, bytes.
 const REASON_MAX_BYTES: usize = 200;
@@ -45,6 +46,8 @@ pub struct Connection {
     refused: u64,
     /// A client's own endpoint lives as long as its connection.
     endpoint: Option<quinn::Endpoint>,
+    /// The slot of a server's connection that is not admitted yet.
+    slot: Option<Slot>,
 }
 
 impl Connection {
@@ -62,7 +65,31 @@ impl Connection {
             receiving: RateCap::receiving(Instant::now()),
             refused: 0,
             endpoint,
+            slot: None,
         }
+    }
+
+    /// A server's connection, which is pending as long as it has the slot.
+    pub(crate) fn pending(
+        quic: quinn::Connection,
+        streams: (SendStream, RecvStream),
+        slot: Slot,
+    ) -> Self {
+        let mut connection = Self::new(quic, streams, None);
+        connection.slot = Some(slot);
+        connection
+    }
+
+    /// Admits a connection of a server: its time is no longer limited, and the other side may send more at
+    /// once. [`spawn_peer`](crate::spawn_peer) does this at the welcome.
+    pub fn admit(&mut self) {
+        if let Some(slot) = self.slot.take() {
+            slot.admit();
+        }
+    }
+
+    pub(crate) fn take_slot(&mut self) -> Option<Slot> {
+        self.slot.take()
     }
 
     /// The address of the other side.

@@ -70,9 +70,9 @@ pub enum TransportError {
         /// The reason.
         detail: String,
     },
-    /// The server does not give the model to this grant.
+    /// The server does not give the model to this participant.
     #[error(
-        "the server does not give out the model {hash}: the grant or the model is unknown to it; ask the host for a new link"
+        "the server does not give out the model {hash}: the participant or the model is unknown to it; join the session again"
     )]
     ModelRefused {
         /// The hash of the model.

@@ -6,7 +6,7 @@
 //! ```text
 //! client   connect(&link) -> Connection;        spawn_client(connection, session, clock) -> ClientHandle
 //! server   Server::bind(..).accept() -> Connection;  spawn_peer(connection, id, clock, inbox) -> PeerHandle
-//! model    fetch_model(&link, hash, progress), on a connection of its own
+//! model    fetch_model(&link, ModelRequest::of(&welcome), progress), on a connection of its own
 //! ```
 //!
 //! [`threads`] schedules the threads of every program that has a session.
@@ -14,6 +14,7 @@
 //! TLS 1.3 always. A client authenticates its server by the hash of the certificate in the join link.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod admission;
 mod bulk;
 mod client;
 mod config;
@@ -25,10 +26,12 @@ mod identity;
 mod log;
 mod rate_cap;
 mod server;
+mod slots;
 pub mod state;
 pub mod threads;
 
-pub use bulk::{MODEL_MAX_BYTES, fetch_model};
+pub use admission::AdmissionStats;
+pub use bulk::{MODEL_MAX_BYTES, ModelRequest, ModelSource, fetch_model};
 pub use client::{connect, connect_bulk};
 pub use connection::{Connection, PathStats};
 pub use drive::DriverStats;
@@ -39,5 +42,5 @@ pub use drive::peer::{
 pub use error::TransportError;
 pub use identity::ServerIdentity;
 pub use log::start_log;
-pub use server::{ModelSource, Server};
+pub use server::Server;
 pub use tracing_subscriber::filter::LevelFilter;

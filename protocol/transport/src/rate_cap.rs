@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use palpate_protocol::{Span, TokenBucket};
+
 /// Bytes per second and connection, 10 Mbit/s: a thousand of the largest datagrams plus an eighth, ten
 /// times the rate of a thin subscriber. Datagrams beyond it are skipped. The congestion controller finds
 /// the path's capacity.
@@ -22,14 +24,12 @@ pub(crate) const RECEIVE_BURST_MAX: f64 = 512.0 * 1024.0;
 /// allows some 3,000 a second, three times the number of the largest within the send cap.
 pub(crate) const RECEIVE_COST_MIN: usize = 500;
 
-/// A bucket of bytes that fills with time.
+/// A token bucket of bytes.
 #[derive(Debug)]
 pub(crate) struct RateCap {
-    rate: f64,
-    burst: f64,
+    bucket: TokenBucket,
     cost_min: usize,
-    bytes: f64,
-    filled: Instant,
+    began: Instant,
 }
 
 impl RateCap {
@@ -45,25 +45,18 @@ impl RateCap {
 
     fn new(rate: f64, burst: f64, cost_min: usize, now: Instant) -> Self {
         Self {
-            rate,
-            burst,
+            bucket: TokenBucket::new(rate, burst, Span::ZERO),
             cost_min,
-            bytes: burst,
-            filled: now,
+            began: now,
         }
     }
 
     /// Whether `len` bytes may pass now.
     pub(crate) fn take(&mut self, len: usize, now: Instant) -> bool {
-        let elapsed = now.saturating_duration_since(self.filled).as_secs_f64();
-        self.filled = now;
-        self.bytes = (self.bytes + elapsed * self.rate).min(self.burst);
+        let elapsed = now.saturating_duration_since(self.began).as_micros();
+        let elapsed = Span::from_micros(i64::try_from(elapsed).unwrap_or(i64::MAX));
         let cost = len.max(self.cost_min) as f64;
-        let fits = self.bytes >= cost;
-        if fits {
-            self.bytes -= cost;
-        }
-        fits
+        self.bucket.take(cost, elapsed)
     }
 }
 

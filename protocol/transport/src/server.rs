@@ -5,39 +5,30 @@ use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::time::Duration;
 
-use palpate_protocol::{Grant, ModelHash};
 use quinn::crypto::rustls::HandshakeData;
 use quinn::{Endpoint, Incoming, TokioRuntime, VarInt};
-use tokio::sync::{Mutex, Semaphore, mpsc};
+use tokio::sync::{Mutex, mpsc};
 use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
 
+use crate::admission::AdmissionStats;
+use crate::bulk::{ModelSource, Transfers};
 use crate::config::{self, ALPN_BULK};
 use crate::connection::Connection;
 use crate::error::GOODBYE;
 use crate::identity::ServerIdentity;
+use crate::slots::{Attempt, CHECK_PERIOD, Slot, Slots};
 use crate::{TransportError, bulk};
 
-/// Returns the bytes of a model to the holder of a grant; `None` refuses. It must not block.
-pub type ModelSource = Arc<dyn Fn(Grant, ModelHash) -> Option<Arc<[u8]>> + Send + Sync>;
-
-/// Handshakes at the same time; more are refused.
-const HANDSHAKES_MAX: usize = 256;
-
-/// From this number of pending handshakes on, an address must prove that it is real (QUIC Retry) before
-/// the server does any work for it.
-const HANDSHAKES_UNVALIDATED_MAX: usize = 16;
-
-/// Sessions that wait for the shell to accept them; further ones wait in their handshake.
+/// Sessions that wait for the shell to accept them; further ones wait in their slots.
 const ACCEPTED_MAX: usize = 64;
-
-/// A connection that opens no operations stream within this time is closed.
-const OPENING_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A listening socket. Dropping it ends every connection.
 pub struct Server {
     endpoint: Endpoint,
     address: SocketAddr,
     accepted: Mutex<mpsc::Receiver<Connection>>,
+    slots: Arc<Slots>,
     listener: JoinHandle<()>,
 }
 
@@ -63,11 +54,20 @@ impl Server {
         .map_err(at_address)?;
         let address = endpoint.local_addr().map_err(at_address)?;
         let (sender, receiver) = mpsc::channel(ACCEPTED_MAX);
-        let listener = tokio::spawn(listen(endpoint.clone(), sender, models));
+        let slots = Slots::new();
+        let listener = Listener {
+            endpoint: endpoint.clone(),
+            slots: Arc::clone(&slots),
+            sessions: sender,
+            models,
+            transfers: Arc::default(),
+        };
+        let listener = tokio::spawn(listener.listen());
         Ok(Self {
             endpoint,
             address,
             accepted: Mutex::new(receiver),
+            slots,
             listener,
         })
     }
@@ -77,7 +77,14 @@ impl Server {
         self.address
     }
 
-    /// The next client; `None` once closed.
+    /// Counters of the connections that were not admitted.
+    pub fn admission(&self) -> AdmissionStats {
+        self.slots.stats()
+    }
+
+    /// The next client, with the first byte of its stream; `None` once closed. The connection is pending
+    /// until [`spawn_peer`](crate::spawn_peer) welcomes it or [`Connection::admit`] is called: it is closed
+    /// without a hello 2 s after its handshake, or when newer ones need its place.
     pub async fn accept(&self) -> Option<Connection> {
         self.accepted.lock().await.recv().await
     }
@@ -100,54 +107,80 @@ impl Drop for Server {
     }
 }
 
-async fn listen(endpoint: Endpoint, sessions: mpsc::Sender<Connection>, models: ModelSource) {
-    let handshakes = Arc::new(Semaphore::new(HANDSHAKES_MAX));
-    let transfers = Arc::new(Semaphore::new(bulk::TRANSFERS_MAX));
-    while let Some(incoming) = endpoint.accept().await {
-        let under_way = HANDSHAKES_MAX - handshakes.available_permits();
-        if under_way > HANDSHAKES_UNVALIDATED_MAX && incoming.may_retry() {
-            if let Err(error) = incoming.retry() {
-                error.into_incoming().refuse();
+/// The task that answers attempts to connect.
+#[derive(Clone)]
+struct Listener {
+    endpoint: Endpoint,
+    slots: Arc<Slots>,
+    sessions: mpsc::Sender<Connection>,
+    models: ModelSource,
+    transfers: Arc<Transfers>,
+}
+
+impl Listener {
+    async fn listen(self) {
+        let mut check = tokio::time::interval(CHECK_PERIOD);
+        check.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        loop {
+            let incoming = tokio::select! {
+                incoming = self.endpoint.accept() => incoming,
+                _ = check.tick() => {
+                    self.slots.close_overdue();
+                    continue;
+                }
+            };
+            let Some(incoming) = incoming else {
+                return;
+            };
+            let from = incoming.remote_address().ip();
+            match self
+                .slots
+                .attempt(from, incoming.remote_address_validated())
+            {
+                Attempt::Ignore => incoming.ignore(),
+                Attempt::Retry => {
+                    // quinn allows it for every address that is not validated.
+                    if let Err(error) = incoming.retry() {
+                        error.into_incoming().ignore();
+                    }
+                }
+                Attempt::Admitted(slot) => {
+                    tokio::spawn(self.clone().serve(incoming, slot));
+                }
             }
-            continue;
         }
-        let Ok(permit) = handshakes.clone().try_acquire_owned() else {
-            incoming.refuse();
-            continue;
+    }
+
+    /// Completes the handshake and serves a transfer, or hands a session to the shell.
+    async fn serve(self, incoming: Incoming, mut slot: Slot) {
+        let address = incoming.remote_address();
+        let Some((quic, streams)) = open(incoming, &mut slot).await else {
+            tracing::debug!(%address, "an attempt came to nothing");
+            return;
         };
-        let sessions = sessions.clone();
-        let models = models.clone();
-        let transfers = transfers.clone();
-        tokio::spawn(async move {
-            let address = incoming.remote_address();
-            let opened = tokio::time::timeout(OPENING_TIMEOUT, open(incoming)).await;
-            drop(permit);
-            match opened {
-                Ok(Some(Opened::Session(connection))) => {
-                    // The shell is gone when this fails, and the endpoint with it.
-                    let _ = sessions.send(connection).await;
-                }
-                Ok(Some(Opened::Bulk(connection, streams))) => {
-                    bulk::serve(connection, streams, &models, &transfers).await;
-                }
-                Ok(None) | Err(_) => tracing::debug!(%address, "an attempt came to nothing"),
-            }
-        });
+        if is_bulk(&quic) {
+            bulk::serve(quic, streams, slot, &self.models, &self.transfers).await;
+            return;
+        }
+        let connection = Connection::pending(quic.clone(), streams, slot);
+        tokio::select! {
+            // The shell is gone when this fails, and the endpoint with it.
+            _ = self.sessions.send(connection) => {}
+            _ = quic.closed() => {}
+        }
     }
 }
 
-enum Opened {
-    Session(Connection),
-    Bulk(quinn::Connection, (quinn::SendStream, quinn::RecvStream)),
+type Streams = (quinn::SendStream, quinn::RecvStream);
+
+async fn open(incoming: Incoming, slot: &mut Slot) -> Option<(quinn::Connection, Streams)> {
+    let quic = slot.shake(incoming).await?;
+    // The slot closes a connection that opens no stream.
+    let streams = quic.accept_bi().await.ok()?;
+    Some((quic, streams))
 }
 
-async fn open(incoming: Incoming) -> Option<Opened> {
-    let quic = incoming.await.ok()?;
-    let data = quic.handshake_data()?.downcast::<HandshakeData>().ok()?;
-    let streams = quic.accept_bi().await.ok()?;
-    Some(if data.protocol.as_deref() == Some(ALPN_BULK) {
-        Opened::Bulk(quic, streams)
-    } else {
-        Opened::Session(Connection::new(quic, streams, None))
-    })
+fn is_bulk(quic: &quinn::Connection) -> bool {
+    let data = quic.handshake_data().and_then(|data| data.downcast().ok());
+    data.is_some_and(|data: Box<HandshakeData>| data.protocol.as_deref() == Some(ALPN_BULK))
 }

@@ -64,7 +64,8 @@ async fn sessions(server: &Server, link: &JoinLink, counts: &[Count; 2]) {
         let mut client = connect(link).await.unwrap();
         // A stream becomes visible to the other side with its first byte.
         client.write(&[0]).await.unwrap();
-        let served = server.accept().await.unwrap();
+        let mut served = server.accept().await.unwrap();
+        served.admit();
         tokio::spawn(press(served));
         tokio::spawn(count_datagrams(client, count.clone()));
     }
@@ -111,7 +112,7 @@ async fn bulk(address: SocketAddr, certificate: CertificateDer<'static>, count: 
 /// The shares of the bottleneck: bulk, first session, second session.
 async fn shares(bulk_first: bool) -> [f64; 3] {
     let identity = ServerIdentity::generate().unwrap();
-    let models: ModelSource = Arc::new(|_, _| None);
+    let models: ModelSource = Arc::new(|_, _, _| None);
     let server = Server::bind(ANY_PORT, &identity, models).unwrap();
     let (bulk_endpoint, certificate) = bulk_sender();
     let narrow = Way {

@@ -16,16 +16,16 @@ use palpate_protocol::session::{
     ClientEvent, CloseReason, MotionRound, PeerDatagram, PeerEvent, PeerMessage,
 };
 use palpate_protocol::{
-    CertificateHash, ClientTime, Grant, JoinLink, LocalSample, OperationId, ParticipantId, Pose,
-    Role, ToolTrack,
+    CertificateHash, ClientTime, LocalSample, ModelHash, OperationId, ParticipantId, Pose,
+    ResumeToken, Role, ToolTrack,
 };
 use palpate_transport::{
-    ClientCommand, ModelSource, PeerId, Server, ServerIdentity, TransportError, connect,
-    fetch_model, spawn_peer,
+    ClientCommand, ModelRequest, ModelSource, PeerId, Server, ServerIdentity, TransportError,
+    connect, fetch_model, spawn_peer,
 };
 use relay::{Relay, Way};
 use session::{
-    ANY_PORT, MODEL, PATIENCE, admit, client_clock, join, next_event, next_input, opening,
+    ANY_PORT, PATIENCE, REQUEST, admit, client_clock, join, next_event, next_input, opening,
     operation, serve, server_clock, welcome,
 };
 use tokio::sync::mpsc;
@@ -174,7 +174,7 @@ async fn error_names_the_version_of_another_server() {
     let mut old = server.accept().await.unwrap();
     old.write(
         &Preamble {
-            version: 7,
+            version: 99,
             status: 0,
         }
         .to_bytes(),
@@ -183,8 +183,8 @@ async fn error_names_the_version_of_another_server() {
     .unwrap();
     match next_event(&mut client).await {
         ClientEvent::Closed(CloseReason::Refused(refused)) => {
-            assert_eq!(refused.reason, RefusalReason::Version { server_speaks: 7 });
-            assert!(refused.sentence.contains("speaks protocol version 7"));
+            assert_eq!(refused.reason, RefusalReason::Version { server_speaks: 99 });
+            assert!(refused.sentence.contains("speaks protocol version 99"));
         }
         other => panic!("{other:?}"),
     }
@@ -236,30 +236,43 @@ async fn noise_is_counted_and_harms_no_session() {
 }
 
 #[tokio::test]
-async fn model_is_delivered_to_the_holder_of_the_grant() {
-    let (_server, link) = serve();
+async fn model_is_delivered_to_a_participant_with_its_token() {
+    let (server, link) = serve();
     let mut last = (0, 0);
-    let bytes = fetch_model(&link, MODEL, |done, total| last = (done, total))
+    let bytes = fetch_model(&link, REQUEST, |done, total| last = (done, total))
         .await
         .unwrap();
     assert_eq!((bytes.len(), last), (3_000_000, (3_000_000, 3_000_000)));
     assert!(bytes.iter().all(|b| *b == 0xab));
-    let stranger = JoinLink {
-        grant: Grant([0; 16]),
-        ..link.clone()
-    };
-    let error = fetch_model(&stranger, MODEL, |_, _| {}).await.unwrap_err();
-    assert!(
-        matches!(error, TransportError::ModelRefused { .. }),
-        "{error}"
-    );
+    let strangers = [
+        ModelRequest {
+            participant: ParticipantId(2),
+            ..REQUEST
+        },
+        ModelRequest {
+            token: ResumeToken([5; 16]),
+            ..REQUEST
+        },
+        ModelRequest {
+            hash: ModelHash(1),
+            ..REQUEST
+        },
+    ];
+    for stranger in strangers {
+        let error = fetch_model(&link, stranger, |_, _| {}).await.unwrap_err();
+        assert!(
+            matches!(error, TransportError::ModelRefused { .. }),
+            "{error}"
+        );
+    }
+    assert_eq!(server.admission().transfers_refused, 3);
 }
 
 #[tokio::test]
 async fn port_in_use_is_named() {
     let (server, _) = serve();
     let identity = ServerIdentity::generate().unwrap();
-    let models: ModelSource = Arc::new(|_, _| None);
+    let models: ModelSource = Arc::new(|_, _, _| None);
     let error = Server::bind(server.local_addr(), &identity, models)
         .err()
         .unwrap();
@@ -307,6 +320,7 @@ async fn client_on_a_new_socket_keeps_its_datagrams_and_stream() {
     let mut client = connect(&link).await.unwrap();
     client.write(b"one").await.unwrap();
     let mut served = server.accept().await.unwrap();
+    served.admit();
     let mut buffer = [0; 16];
     assert_eq!(served.read(&mut buffer).await.unwrap(), Some(3));
     let old = served.remote_address();

@@ -13,7 +13,9 @@ use palpate_protocol::request::{
     CutRequest, DelayReport, Request, RequestKind, RequestRefusal, RequestRefused,
 };
 use palpate_protocol::session::{PeerDatagram, PeerEvent, PeerMessage, PeerMotion};
-use palpate_protocol::{OperationId, ParticipantId, RequestId, ServerTime, Span, TopologyHash};
+use palpate_protocol::{
+    OperationId, ParticipantId, RequestId, ResumeToken, ServerTime, Span, TopologyHash,
+};
 use palpate_tissue::Tool;
 
 use crate::authority::{CutOrder, Settling, TissueOrder, TissueReport};
@@ -412,6 +414,11 @@ impl Room {
     /// Number of participants, including kept seats.
     pub fn participant_count(&self) -> usize {
         self.participants.len()
+    }
+
+    /// All participants, including kept seats, with the tokens of their welcomes.
+    pub fn seats(&self) -> impl Iterator<Item = (ParticipantId, ResumeToken)> + '_ {
+        self.participants.values().map(|seat| (seat.id, seat.token))
     }
 
     /// The operations of the log from this number on, counted from 0.

@@ -10,6 +10,7 @@ mod options;
 mod serve;
 mod summary;
 mod tissue;
+mod tokens;
 
 use std::io::Write as _;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
@@ -23,6 +24,7 @@ pub(crate) use options::HostOptions;
 pub use options::TICK_HZ;
 pub use serve::solver_limit;
 pub use summary::{HostSummary, Listening, ListeningModel, Refused, TickTimes};
+use tokens::SeatTokens;
 
 use crate::{ServerError, load};
 use identity::{Identity, IdentitySource};
@@ -40,11 +42,12 @@ pub(crate) fn host(options: &HostOptions) -> Result<(), ServerError> {
         bytes: loaded.bytes.len() as u64,
     };
     let bytes: Arc<[u8]> = loaded.bytes.into();
+    let tokens = SeatTokens::default();
     let models: ModelSource = {
-        let grants = grants.clone();
-        Arc::new(move |grant, hash| {
-            let known = grants.iter().any(|(_, g)| g.matches(&grant));
-            (known && hash == info.hash).then(|| Arc::clone(&bytes))
+        let tokens = tokens.clone();
+        Arc::new(move |participant, token, hash| {
+            let has_seat = tokens.has(participant, &token);
+            (has_seat && hash == info.hash).then(|| Arc::clone(&bytes))
         })
     };
     let config = RoomConfig {
@@ -86,6 +89,7 @@ pub(crate) fn host(options: &HostOptions) -> Result<(), ServerError> {
             },
         )
     };
+    let models = (models, tokens);
     let summary = serve::serve(options, &server, models, loaded.model, config, &announce)?;
     summary::finish(options.json, &summary)
 }

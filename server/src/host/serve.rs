@@ -22,6 +22,7 @@ use super::announcements::Announcements;
 use super::options::HostOptions;
 use super::summary::{HostSummary, Refused, TickTimes};
 use super::tissue::{Answer, TissueThreads};
+use super::tokens::SeatTokens;
 use crate::ServerError;
 
 /// Messages from all peers that may wait for the room. Four samples every 4 ms from 64 participants are 16,000
@@ -71,13 +72,17 @@ struct Session {
     /// Counters of closed connections.
     refused: Refused,
     announcements: Announcements,
+    tokens: SeatTokens,
+    /// Joins and seats at the last update of the tokens.
+    seats_known: (u64, usize),
 }
 
-/// Serves one session. `announce` receives the address once the server listens; if it fails, no session is served.
+/// Serves one session, with a source of its model for the seats in `tokens`. `announce` receives the address once the
+/// server listens; if it fails, no session is served.
 pub(super) fn serve(
     options: &HostOptions,
     identity: &ServerIdentity,
-    models: ModelSource,
+    (models, tokens): (ModelSource, SeatTokens),
     model: Model,
     config: RoomConfig,
     announce: &dyn Fn(SocketAddr) -> Result<(), ServerError>,
@@ -115,6 +120,8 @@ pub(super) fn serve(
         skipped: 0,
         refused: Refused::default(),
         announcements: Announcements::new(),
+        tokens,
+        seats_known: (0, 0),
     };
     let server = Arc::new(server);
     let (joined, inbox) = span.in_scope(|| accept(&network, Arc::clone(&server), began));
@@ -230,6 +237,7 @@ impl Session {
                         .to_owned();
                 }
             }
+            self.publish_seats();
             self.deliver();
             let new = self.room.operations_since(self.announcements.announced());
             self.announcements.announce(new);
@@ -287,6 +295,15 @@ impl Session {
         }
         self.room
             .handle_report(answer.report, server_time(self.began));
+    }
+
+    /// Publishes the tokens when the seats have changed: before the welcome leaves, which contains one.
+    fn publish_seats(&mut self) {
+        let seats = (self.participants, self.room.participant_count());
+        if self.seats_known != seats {
+            self.seats_known = seats;
+            self.tokens.set(self.room.seats());
+        }
     }
 
     fn deliver(&mut self) {

@@ -7,7 +7,7 @@ use palpate_protocol::operation::OperationKind;
 use palpate_protocol::request::ServerMessage;
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{JoinLink, ParticipantId};
-use palpate_transport::fetch_model;
+use palpate_transport::{ModelRequest, fetch_model};
 use tokio::runtime::Runtime;
 
 use super::crew;
@@ -161,7 +161,7 @@ async fn visit(link: &JoinLink, name: String) -> Result<RawClient, String> {
     let joined = RawClient::join(link, hello(link, name, tool)).await;
     let mut client = joined.map_err(|e| e.to_string())?;
     let info = client.welcome.model;
-    let fetching = fetch_model(link, info.hash, |_, _| ());
+    let fetching = fetch_model(link, ModelRequest::of(&client.welcome), |_, _| ());
     tokio::pin!(fetching);
     let model = loop {
         tokio::select! {

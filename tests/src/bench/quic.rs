@@ -43,7 +43,8 @@ async fn over_a_connection(
     seed: u64,
 ) -> Result<[Added; 2], String> {
     let identity = ServerIdentity::generate().map_err(|e| e.to_string())?;
-    let server = Server::bind(HERE, &identity, Arc::new(|_, _| None)).map_err(|e| e.to_string())?;
+    let server =
+        Server::bind(HERE, &identity, Arc::new(|_, _, _| None)).map_err(|e| e.to_string())?;
     let relay = Relay::start(HERE, server.local_addr(), profile.clone(), seed)
         .map_err(|e| format!("the relay could not be started: {e}"))?;
     let link = JoinLink {
@@ -56,7 +57,8 @@ async fn over_a_connection(
     let mut client = connect(&link).await.map_err(|e| e.to_string())?;
     // The first byte announces a stream to the peer.
     client.write(&[0]).await?;
-    let peer = server.accept().await.ok_or("the server does not listen")?;
+    let mut peer = server.accept().await.ok_or("the server does not listen")?;
+    peer.admit();
     tokio::time::sleep(SETTLE).await;
     let first_us = sent.first().map_or(0, |s| s.at_us);
     let start = Instant::now();

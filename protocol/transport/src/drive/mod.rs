@@ -36,6 +36,9 @@ const EVENTS_AHEAD: usize = 64;
 /// Bytes read from the stream at once.
 const READ_BYTES: usize = 16 * 1024;
 
+/// Bytes gathered for one write to the stream.
+const WRITE_BYTES: usize = 16 * 1024;
+
 /// Datagrams handled before the loop looks at anything else.
 const DATAGRAMS_PER_TURN: usize = 64;
 
@@ -65,25 +68,30 @@ pub(crate) trait Machine: Send {
     /// Until the next timeout; `None` once closed.
     fn until_timeout(&self) -> Option<Duration>;
     fn is_closed(&self) -> bool;
+    /// Whether reliable commands can be taken now; they wait otherwise.
+    fn has_room(&self) -> bool {
+        true
+    }
     /// Whether this side ended for good and does not reconnect.
     fn leaves(&self) -> bool;
     fn stats(&self) -> LinkStats;
 }
 
-/// Where commands come from.
+/// Where commands come from; without `room` the reliable ones wait.
 pub(crate) trait Commands<C>: Send {
     /// `None` once the shell has dropped its end. Cancelling it loses nothing.
-    fn next(&mut self) -> impl Future<Output = Option<C>> + Send;
+    fn next(&mut self, room: bool) -> impl Future<Output = Option<C>> + Send;
     /// The next command that is already queued.
-    fn try_next(&mut self) -> Option<C>;
+    fn try_next(&mut self, room: bool) -> Option<C>;
 }
 
+/// A client's commands: it always has room, and its machine rejects requests beyond its queue.
 impl<C: Send> Commands<C> for mpsc::Receiver<C> {
-    async fn next(&mut self) -> Option<C> {
+    async fn next(&mut self, _room: bool) -> Option<C> {
         self.recv().await
     }
 
-    fn try_next(&mut self) -> Option<C> {
+    fn try_next(&mut self, _room: bool) -> Option<C> {
         self.try_recv().ok()
     }
 }
@@ -122,7 +130,7 @@ pub(crate) async fn drive<M: Machine>(
             connection.send_datagram(bytes);
         }
         if outgoing.is_empty() {
-            outgoing = machine.poll_stream().unwrap_or_default();
+            fill(&mut outgoing, &mut machine);
         }
         deliver(&mut machine, &mut pending, &events);
         if stats_at.elapsed() >= STATS_PERIOD {
@@ -141,6 +149,7 @@ pub(crate) async fn drive<M: Machine>(
         if machine.is_closed() && !has_bytes && !has_events {
             break;
         }
+        let room = machine.has_room();
         let wait = machine.until_timeout().unwrap_or(STATS_PERIOD);
         let wait = watch.waits(since(began), span(wait));
         let wait = Duration::from_micros(wait.as_micros().unsigned_abs());
@@ -153,7 +162,7 @@ pub(crate) async fn drive<M: Machine>(
                 Moved::Read(r.map_err(|e| e.to_string()))
             }
             r = send.write(&outgoing), if has_bytes => Moved::Written(r.map_err(|e| e.to_string())),
-            c = commands.next(), if has_shell => Moved::Command(c),
+            c = commands.next(room), if has_shell => Moved::Command(c),
             _ = events.reserve(), if has_events => Moved::Room,
             () = tokio::time::sleep(wait) => Moved::Time,
         };
@@ -192,7 +201,7 @@ pub(crate) async fn drive<M: Machine>(
             Moved::Command(command) => {
                 has_shell = command.is_some();
                 machine.handle_command(command);
-                while let Some(command) = commands.try_next() {
+                while let Some(command) = commands.try_next(machine.has_room()) {
                     machine.handle_command(Some(command));
                 }
             }
@@ -214,6 +223,15 @@ async fn end<M: Machine>(machine: M, connection: Connection, stats: &watch::Send
         connection.close_for_good(sentence).await;
     } else {
         connection.close(sentence).await;
+    }
+}
+
+/// Gathers frames, most of which are short: each write costs quinn a buffer of its own.
+fn fill<M: Machine>(outgoing: &mut Vec<u8>, machine: &mut M) {
+    while outgoing.len() < WRITE_BYTES
+        && let Some(frame) = machine.poll_stream()
+    {
+        outgoing.extend_from_slice(&frame);
     }
 }
 

@@ -3,6 +3,9 @@
 //! One task of the shell owns the room. Every peer's task sends its events into the one bounded inbox of
 //! that task. The room reaches every peer through a [`PeerHandle`] that never blocks: a full datagram
 //! queue drops datagrams, and a peer with a full reliable queue is closed.
+//!
+//! Reliable messages wait in that queue while the session has no room, so that few of them are encoded at
+//! a time. An operation in the queue is shared by all peers.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,10 +18,16 @@ use tracing::Instrument as _;
 
 use crate::connection::Connection;
 use crate::drive::{Commands, DriverStats, Machine, drive};
+use crate::slots::Slot;
 
 /// Capacity of a peer's reliable queue: the longest log that a room sends to a new participant, 18,000
-/// operations, plus messages meanwhile. Beyond it the peer is closed.
+/// operations, plus messages meanwhile. Beyond it the peer is closed. An entry has at most 64 bytes beside
+/// the operation that it shares; a full queue takes 1.3 MB.
 pub const RELIABLE_QUEUE_MAX: usize = 20_000;
+
+/// The size of an entry of the queue, bytes.
+const ENTRY_BYTES_MAX: usize = 64;
+const _: () = assert!(size_of::<PeerMessage>() <= ENTRY_BYTES_MAX);
 
 /// Datagrams that may wait for a peer's task; beyond it they are dropped and counted.
 pub const DATAGRAM_QUEUE_MAX: usize = 256;
@@ -86,7 +95,7 @@ impl PeerHandle {
 /// Drives one peer in its own task and sends its events into the one bounded `inbox` of all peers.
 /// `clock` is the server's clock.
 pub fn spawn_peer(
-    connection: Connection,
+    mut connection: Connection,
     id: PeerId,
     clock: impl Fn() -> ServerTime + Send + 'static,
     inbox: mpsc::Sender<PeerInput>,
@@ -98,6 +107,7 @@ pub fn spawn_peer(
     let machine = Peer {
         id,
         session: ServerPeer::new(clock()),
+        slot: connection.take_slot(),
         clock,
     };
     let source = FromRoom {
@@ -133,17 +143,20 @@ struct FromRoom {
 }
 
 impl Commands<PeerCommand> for FromRoom {
-    async fn next(&mut self) -> Option<PeerCommand> {
+    async fn next(&mut self, room: bool) -> Option<PeerCommand> {
         tokio::select! {
             biased;
             Some(()) = self.overflow.recv() => Some(PeerCommand::Overflow),
-            m = self.reliable.recv() => m.map(PeerCommand::Reliable),
+            m = self.reliable.recv(), if room => m.map(PeerCommand::Reliable),
             Some(d) = self.datagrams.recv() => Some(PeerCommand::Datagram(d)),
+            // The room has dropped its end; the rest of the reliable queue waits for room.
+            else => std::future::pending().await,
         }
     }
 
-    fn try_next(&mut self) -> Option<PeerCommand> {
-        let reliable = self.reliable.try_recv().ok().map(PeerCommand::Reliable);
+    fn try_next(&mut self, room: bool) -> Option<PeerCommand> {
+        let reliable = room.then(|| self.reliable.try_recv().ok()).flatten();
+        let reliable = reliable.map(PeerCommand::Reliable);
         reliable.or_else(|| self.datagrams.try_recv().ok().map(PeerCommand::Datagram))
     }
 }
@@ -151,6 +164,8 @@ impl Commands<PeerCommand> for FromRoom {
 struct Peer<C> {
     id: PeerId,
     session: ServerPeer,
+    /// Held until the welcome.
+    slot: Option<Slot>,
     clock: C,
 }
 
@@ -202,6 +217,9 @@ impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
         if let Err(error) = result {
             tracing::warn!(%error, "a peer was closed");
         }
+        if let Some(slot) = self.slot.take_if(|_| self.session.is_joined()) {
+            slot.admit();
+        }
     }
 
     fn poll_stream(&mut self) -> Option<Vec<u8>> {
@@ -214,6 +232,9 @@ impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
 
     fn poll_event(&mut self) -> Option<PeerInput> {
         let event = self.session.poll_event()?;
+        if let (PeerEvent::Hello(_), Some(slot)) = (&event, &self.slot) {
+            slot.handle_hello();
+        }
         Some(PeerInput {
             peer: self.id,
             at: (self.clock)(),
@@ -230,6 +251,10 @@ impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
 
     fn is_closed(&self) -> bool {
         self.session.is_closed()
+    }
+
+    fn has_room(&self) -> bool {
+        self.session.has_room()
     }
 
     fn stats(&self) -> LinkStats {

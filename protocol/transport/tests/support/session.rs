@@ -18,8 +18,8 @@ use palpate_protocol::{
     ResumeToken, Role, ServerTime, TopologyHash,
 };
 use palpate_transport::{
-    ClientHandle, ModelSource, PeerHandle, PeerId, PeerInput, Server, ServerIdentity, connect,
-    spawn_client, spawn_peer,
+    ClientHandle, ModelRequest, ModelSource, PeerHandle, PeerId, PeerInput, Server, ServerIdentity,
+    connect, spawn_client, spawn_peer,
 };
 use quinn::crypto::rustls::QuicClientConfig;
 use quinn::{Connection, Endpoint};
@@ -29,6 +29,14 @@ pub(crate) const ANY_PORT: SocketAddr =
     SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 pub(crate) const GRANT: Grant = Grant([9; 16]);
 pub(crate) const MODEL: ModelHash = ModelHash(77);
+/// The seat that may fetch the model.
+pub(crate) const SEAT: ParticipantId = ParticipantId(1);
+pub(crate) const TOKEN: ResumeToken = ResumeToken([4; 16]);
+pub(crate) const REQUEST: ModelRequest = ModelRequest {
+    participant: SEAT,
+    token: TOKEN,
+    hash: MODEL,
+};
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A server with a model, and the link to it.
@@ -40,8 +48,10 @@ pub(crate) fn serve() -> (Server, JoinLink) {
 /// The same, with its identity.
 pub(crate) fn serve_as() -> (Server, JoinLink, ServerIdentity) {
     let identity = ServerIdentity::generate().unwrap();
-    let models: ModelSource = Arc::new(|grant, hash| {
-        (grant == GRANT && hash == MODEL).then(|| vec![0xab; 3_000_000].into())
+    let model: Arc<[u8]> = vec![0xab; 3_000_000].into();
+    let models: ModelSource = Arc::new(move |participant, token, hash| {
+        let has_seat = participant == SEAT && token.matches(&TOKEN);
+        (has_seat && hash == MODEL).then(|| Arc::clone(&model))
     });
     let server = Server::bind(ANY_PORT, &identity, models).unwrap();
     let link = JoinLink {
@@ -86,7 +96,7 @@ pub(crate) fn welcome(participant: u16, operations_so_far: u64) -> PeerMessage {
         },
         tick_hz: 250,
         session_started_at: None,
-        resume_token: ResumeToken([0; 16]),
+        resume_token: TOKEN,
     }))
 }
 
@@ -161,6 +171,33 @@ pub(crate) async fn admit(
 /// A connection like a client's, without the project's session handling and without the cap on its
 /// sending rate.
 pub(crate) async fn unbound(server: &Server, identity: &ServerIdentity) -> (Endpoint, Connection) {
+    unbound_as(server, identity, SESSION).await
+}
+
+pub(crate) const SESSION: &[u8] = b"palpate/1";
+pub(crate) const BULK: &[u8] = b"palpate-bulk/1";
+
+/// The same for a session or a transfer.
+pub(crate) async fn unbound_as(
+    server: &Server,
+    identity: &ServerIdentity,
+    alpn: &[u8],
+) -> (Endpoint, Connection) {
+    let endpoint = Endpoint::client(ANY_PORT).unwrap();
+    let connection = endpoint
+        .connect_with(
+            client_config(identity, alpn),
+            server.local_addr(),
+            "palpate",
+        )
+        .unwrap()
+        .await
+        .unwrap();
+    (endpoint, connection)
+}
+
+/// quinn's own settings of a client.
+pub(crate) fn client_config(identity: &ServerIdentity, alpn: &[u8]) -> quinn::ClientConfig {
     let mut roots = rustls::RootCertStore::empty();
     roots.add(identity.to_der().0.into()).unwrap();
     let provider = Arc::new(rustls::crypto::ring::default_provider());
@@ -169,15 +206,8 @@ pub(crate) async fn unbound(server: &Server, identity: &ServerIdentity) -> (Endp
         .unwrap()
         .with_root_certificates(roots)
         .with_no_client_auth();
-    tls.alpn_protocols = vec![b"palpate/1".to_vec()];
-    let config = quinn::ClientConfig::new(Arc::new(QuicClientConfig::try_from(tls).unwrap()));
-    let endpoint = Endpoint::client(ANY_PORT).unwrap();
-    let connection = endpoint
-        .connect_with(config, server.local_addr(), "palpate")
-        .unwrap()
-        .await
-        .unwrap();
-    (endpoint, connection)
+    tls.alpn_protocols = vec![alpn.to_vec()];
+    quinn::ClientConfig::new(Arc::new(QuicClientConfig::try_from(tls).unwrap()))
 }
 
 /// A client's first bytes: enough to be admitted.

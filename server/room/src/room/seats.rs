@@ -263,9 +263,9 @@ impl Room {
         match reason {
             CloseReason::Left => self.remove_seat(who, LeaveReason::Left, now),
             // The client received too slowly; its own messages were valid.
-            CloseReason::Violation(ProtocolError::Backlog { .. }) => {
-                self.remove_seat(who, LeaveReason::TooSlow, now);
-            }
+            CloseReason::Violation(
+                ProtocolError::Backlog { .. } | ProtocolError::Stalled { .. },
+            ) => self.remove_seat(who, LeaveReason::TooSlow, now),
             CloseReason::Violation(_) => self.remove_seat(who, LeaveReason::Violation, now),
             CloseReason::Refused(_) | CloseReason::Goodbye(_) => {
                 self.remove_seat(who, LeaveReason::Removed, now);
