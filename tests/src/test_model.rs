@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use palpate_anatomy::sample::{Sample, SampleError};
-use palpate_anatomy::{BuildError, SceneError, SceneInput, build};
+use palpate_anatomy::sample::Sample;
+use palpate_anatomy::{InputError, SceneInput, build};
 use palpate_tissue::{FileError, Material, Model, ModelFile, WriteError, block};
 
 use crate::progress::Progress;
@@ -18,17 +18,14 @@ pub enum TestModelError {
         /// The requested name.
         name: String,
         /// Error of the sample lookup.
-        source: SampleError,
+        source: InputError,
     },
     /// A file that is neither a model nor a scene.
     #[error("unsupported file {}: use a model (.palp) or a scene (.toml)", .0.display())]
     Kind(PathBuf),
-    /// The scene is invalid.
+    /// The scene is invalid, or can not be built.
     #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// The build failed.
-    #[error(transparent)]
-    Build(#[from] BuildError),
+    Input(#[from] InputError),
     /// The model file is invalid.
     #[error(transparent)]
     File(#[from] FileError),

@@ -4,10 +4,11 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::weld::Welder;
-use super::{Surface, SurfaceError, TRIANGLES_MAX, Unit};
+use super::{Surface, TRIANGLES_MAX, Unit};
+use crate::InputError;
 
 /// Reads a file.
-pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceError> {
+pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, InputError> {
     let text = String::from_utf8_lossy(bytes);
     let plain = plain(path, &text)?;
     let options = tobj::LoadOptions {
@@ -31,7 +32,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, Sur
 /// The file reduced to surface data, with every number validated: `v` lines with three coordinates and `f`
 /// lines with position indices. Without objects, materials, texture and normals nothing remains that could
 /// split the surface or fail to load.
-fn plain(path: &Path, text: &str) -> Result<String, SurfaceError> {
+fn plain(path: &Path, text: &str) -> Result<String, InputError> {
     let mut out = String::with_capacity(text.len());
     let (mut triangles, mut vertices) = (0_u64, 0_i64);
     // A backslash at the end joins a line with the next one.
@@ -89,24 +90,17 @@ fn plain(path: &Path, text: &str) -> Result<String, SurfaceError> {
         }
     }
     if vertices == 0 && triangles == 0 {
-        return Err(SurfaceError::NotASurface {
-            path: path.to_owned(),
-            what: "this OBJ file has neither vertices nor faces".to_owned(),
-        });
+        return Err(not_a_surface(
+            path,
+            "this OBJ file has neither vertices nor faces",
+        ));
     }
     if triangles > TRIANGLES_MAX {
-        return Err(SurfaceError::TooManyTriangles {
-            path: path.to_owned(),
-            triangles,
-        });
+        return Err(too_many_triangles(path, triangles));
     }
     Ok(out)
 }
 
-fn broken(path: &Path, place: &str, what: String) -> SurfaceError {
-    SurfaceError::Broken {
-        path: path.to_owned(),
-        place: place.to_owned(),
-        what,
-    }
+fn broken(path: &Path, place: &str, what: String) -> InputError {
+    broken(path, place, what)
 }
