@@ -13,7 +13,7 @@
 use std::path::Path;
 
 use clap::Args;
-use palpate_device::text_file::{self, TextFileError};
+use palpate_device::text_file;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 
@@ -80,14 +80,8 @@ impl Recipe {
     /// Loads a recipe. Relative paths in it refer to its directory.
     pub fn load(path: &Path) -> Result<Self, String> {
         let shown = path.display();
-        let text = text_file::read(path, BYTES_MAX).map_err(|e| match e {
-            TextFileError::Read(why) => format!("cannot read {shown}: {why}"),
-            TextFileError::TooLarge { bytes } => {
-                format!(
-                    "{shown} has {bytes} bytes; an experiment file may have at most {BYTES_MAX}"
-                )
-            }
-        })?;
+        let text = text_file::read(path, BYTES_MAX)
+            .map_err(|why| format!("cannot read {shown}: {why}"))?;
         let mut recipe = Self::parse(&text).map_err(|e| format!("{shown}: {e}"))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let beside = |name: &mut String| {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use palpate_device::text_file::{self, TextFileError};
+use palpate_device::text_file;
 use serde::{Deserialize, Serialize};
 
 use super::checked;
@@ -41,14 +41,6 @@ pub enum ProfileError {
         path: PathBuf,
         /// Error of the operating system.
         why: std::io::Error,
-    },
-    /// File too large.
-    #[error("the network profile {} has {bytes} bytes, more than {FILE_BYTES_MAX}: long recordings go into a trace", path.display())]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-        /// Its size.
-        bytes: u64,
     },
     /// Invalid content.
     #[error("{}: {why}", path.display())]
@@ -235,12 +227,9 @@ impl Profile {
 
     /// A profile from a TOML file. Trace paths are relative to it.
     pub fn read(path: &Path) -> Result<Self, ProfileError> {
-        let text = text_file::read(path, FILE_BYTES_MAX).map_err(|e| {
-            let path = path.to_owned();
-            match e {
-                TextFileError::Read(why) => ProfileError::Read { path, why },
-                TextFileError::TooLarge { bytes } => ProfileError::TooLarge { path, bytes },
-            }
+        let text = text_file::read(path, FILE_BYTES_MAX).map_err(|why| ProfileError::Read {
+            path: path.to_owned(),
+            why,
         })?;
         Self::from_toml(&text, path)
     }

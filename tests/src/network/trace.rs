@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use palpate_device::text_file::{self, TextFileError};
+use palpate_device::text_file;
 
 /// Maximum rows of a trace: 17 minutes at 1 kHz, and 24 MB.
 pub const TRACE_ROWS_MAX: usize = 1_000_000;
@@ -45,14 +45,6 @@ pub enum TraceError {
         /// Error of the operating system.
         why: std::io::Error,
     },
-    /// File too large.
-    #[error("the trace {} has {bytes} bytes, more than {TRACE_BYTES_MAX}: cut it shorter", path.display())]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-        /// Its size.
-        bytes: u64,
-    },
     /// Invalid row.
     #[error("{} line {line}: {why}", path.display())]
     Row {
@@ -77,12 +69,9 @@ impl Trace {
     /// of a lost packet may be empty.
     pub fn read(file: &Path, folder: &Path) -> Result<Self, TraceError> {
         let path = folder.join(file);
-        let text = text_file::read(&path, TRACE_BYTES_MAX).map_err(|e| {
-            let path = path.clone();
-            match e {
-                TextFileError::Read(why) => TraceError::Read { path, why },
-                TextFileError::TooLarge { bytes } => TraceError::TooLarge { path, bytes },
-            }
+        let text = text_file::read(&path, TRACE_BYTES_MAX).map_err(|why| TraceError::Read {
+            path: path.clone(),
+            why,
         })?;
         let rows = rows_of(&text).map_err(|(line, why)| TraceError::Row {
             path: path.clone(),

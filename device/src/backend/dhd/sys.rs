@@ -10,9 +10,9 @@ use std::path::Path;
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::Code;
-use crate::Wrench;
+use crate::{OpenError, Wrench};
 use crate::backend::library::sys::text;
-use crate::backend::library::{Library, LibraryError, Wanted};
+use crate::backend::library::{Library, Wanted};
 
 /// The library's names on this system, and how to install it.
 const WANTED: Wanted = Wanted {
@@ -65,7 +65,7 @@ pub(super) struct Api {
 
 impl Api {
     /// Loads the library and resolves all functions.
-    pub(super) fn load(file: Option<&Path>) -> Result<Self, LibraryError> {
+    pub(super) fn load(file: Option<&Path>) -> Result<Self, OpenError> {
         let library = WANTED.load(file)?;
         // SAFETY: every type is that of the function in the public headers, and the library lives as long as `Self`.
         unsafe {

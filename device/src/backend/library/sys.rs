@@ -3,7 +3,8 @@
 use std::ffi::{CStr, c_char};
 use std::path::{Path, PathBuf};
 
-use super::LibraryError;
+use super::about;
+use crate::OpenError;
 
 /// A loaded library. Functions that were taken from it may be called for as long as it lives.
 #[derive(Debug)]
@@ -38,13 +39,15 @@ impl Library {
     pub(in crate::backend) unsafe fn function<F: Copy>(
         &self,
         symbol: &'static str,
-    ) -> Result<F, LibraryError> {
+    ) -> Result<F, OpenError> {
         // SAFETY: the caller vouches for the type.
         let found = unsafe { self.loaded.get::<F>(symbol) };
-        found.map(|f| *f).map_err(|_| LibraryError::NoFunction {
-            file: self.file.clone(),
-            symbol,
-            how: self.how,
+        found.map(|f| *f).map_err(|_| {
+            let how = self.how;
+            let why = format!(
+                "has no function {symbol}: it is too old, or another library of that name. {how}"
+            );
+            about(&self.file, &why)
         })
     }
 }

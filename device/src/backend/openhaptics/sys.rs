@@ -10,7 +10,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::backend::library::sys::text;
-use crate::backend::library::{Library, LibraryError, Wanted};
+use crate::OpenError;
+use crate::backend::library::{Library, Wanted};
 
 /// The library's names on this system, and how to install it.
 const WANTED: Wanted = Wanted {
@@ -81,7 +82,7 @@ pub(super) struct Api {
 
 impl Api {
     /// Loads the library and resolves all functions.
-    pub(super) fn load(file: Option<&Path>) -> Result<Self, LibraryError> {
+    pub(super) fn load(file: Option<&Path>) -> Result<Self, OpenError> {
         let library = WANTED.load(file)?;
         // SAFETY: every type is that of the function in the public headers, and the library lives as long as `Self`.
         unsafe {
