@@ -10,7 +10,7 @@ mod plot;
 mod script_tool;
 
 use clap::ValueEnum;
-use palpate_device::HapticDevice;
+use palpate_device::{HapticDevice, OpenError};
 use palpate_device::backend::five_dof;
 use palpate_device::backend::replay::Replay;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
@@ -20,7 +20,7 @@ pub(crate) use choice::DeviceChoice;
 pub(crate) use command::{DevicesArguments, run};
 pub(crate) use guide::{Guide, Moves};
 pub(crate) use hold::HeldDevice;
-pub use owned::{OwnedError, Sources};
+pub use owned::Sources;
 pub use script_tool::tool_description;
 
 /// Kinds of supported devices.
