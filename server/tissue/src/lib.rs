@@ -66,7 +66,7 @@ pub use file::{FileError, ModelFile, decode_model, encode_model};
 pub use material::{FibreAxis, Material};
 pub use model::{Model, Region, RegionId};
 pub use shape::Shape;
-pub use snapshot::{SNAPSHOT_FORMAT, SnapshotError, model_hash, restore, snapshot};
+pub use snapshot::{SNAPSHOT_FORMAT, model_hash, restore, snapshot};
 pub use staged::{Staged, WriteError, write_file};
 pub use topology::{Boundary, FaceId, Topology, TopologyHash};
 

@@ -221,6 +221,37 @@ impl Material {
         library::built_in(name)
     }
 
+    /// Its numbers, in the order in which files and hashes have them.
+    pub(crate) fn numbers(&self) -> [f64; 9] {
+        // Destructured, so that a new field of a material cannot be forgotten here.
+        let Self {
+            name: _,
+            young_pa,
+            poisson,
+            stiffening,
+            fibre_ratio,
+            fibre_axis: _,
+            compress_limit,
+            stretch_limit,
+            bottoms_out: _,
+            density_kg_m3,
+            friction_static,
+            friction_dynamic,
+            source: _,
+        } = *self;
+        [
+            young_pa,
+            poisson,
+            stiffening,
+            fibre_ratio,
+            compress_limit,
+            stretch_limit,
+            density_kg_m3,
+            friction_static,
+            friction_dynamic,
+        ]
+    }
+
     /// A built-in material with the scene's changes, or a new one defined by the scene alone.
     pub fn resolve(name: &str, change: Option<&MaterialOverride>) -> Result<Self, MaterialError> {
         let change = match (Self::built_in(name), change) {

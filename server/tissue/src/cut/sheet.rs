@@ -55,11 +55,14 @@ pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId
     }
     match (met.faces.is_empty(), met.pinned) {
         (false, _) => Ok(met.faces.into_iter().collect()),
-        (true, Some(region)) => Err(CutError::Pinned {
-            region: topology.model.regions[region.index()].name.clone(),
-        }),
+        (true, Some(region)) => Err(CutError::Rejected(format!(
+            "the blade meets only the pinned region `{}`, which it can not cut",
+            topology.model.regions[region.index()].name
+        ))),
         (true, None) if met.open => Err(CutError::NothingNew),
-        (true, None) => Err(CutError::Misses),
+        (true, None) => Err(CutError::Rejected(
+            "the blade passes through no tissue, or less deep than half a cell".into(),
+        )),
     }
 }
 
