@@ -10,10 +10,10 @@ mod plot;
 mod script_tool;
 
 use clap::ValueEnum;
-use palpate_device::{HapticDevice, OpenError};
 use palpate_device::backend::five_dof;
 use palpate_device::backend::replay::Replay;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
+use palpate_device::{HapticDevice, OpenError};
 use serde::Serialize;
 
 pub(crate) use choice::DeviceChoice;

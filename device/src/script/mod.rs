@@ -316,7 +316,9 @@ fn bad_waypoint(number: usize, t_s: f64, rule: &str) -> ScriptError {
 
 fn check_waypoints(waypoints: &[Waypoint], repeat: bool) -> Result<(), ScriptError> {
     let Some((first, last)) = waypoints.first().zip(waypoints.last()) else {
-        return Err(ScriptError::new("the script has no [[way]]; write at least one"));
+        return Err(ScriptError::new(
+            "the script has no [[way]]; write at least one",
+        ));
     };
     if waypoints.len() > WAYPOINTS_MAX {
         let n = waypoints.len();
@@ -399,7 +401,10 @@ mod tests {
         let open = waypoints(&[(0.0, 0.0), (1.0, 0.1)]);
         let shut = waypoints(&[(0.0, 0.0), (1.0, 0.1), (2.0, 0.0)]);
         let gap = Script::new(probe(), Hand::default(), open, true).unwrap_err();
-        assert!(gap.to_string().contains("is 100 mm from the first"), "{gap}");
+        assert!(
+            gap.to_string().contains("is 100 mm from the first"),
+            "{gap}"
+        );
         assert!(Script::new(probe(), Hand::default(), shut, true).is_ok());
     }
 

@@ -80,5 +80,4 @@ pub mod limits {
         BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M,
     };
     pub use crate::file::{CELLS_MAX, NODES_MAX, POSITION_MAX_M, REGIONS_MAX};
-    pub use crate::springs::SPRINGS_PER_NODE_MAX;
 }

@@ -13,7 +13,7 @@
 //! shape      three columns of f64 bits of the displacements
 //! ```
 //!
-//! Springs, masses, volumes and triangles are functions of these and are derived again.
+//! Masses, volumes and triangles are functions of these and are derived again.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;

@@ -10,9 +10,9 @@ use std::path::Path;
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::Code;
-use crate::{OpenError, Wrench};
 use crate::backend::library::sys::text;
 use crate::backend::library::{Library, Wanted};
+use crate::{OpenError, Wrench};
 
 /// The library's names on this system, and how to install it.
 const WANTED: Wanted = Wanted {

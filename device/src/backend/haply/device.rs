@@ -12,8 +12,8 @@ use super::{HINT, Service, inventory};
 use crate::backend::found::choose;
 use crate::backend::mailbox::{DeviceState, Fade, LoopEnd, mailbox};
 use crate::{
-    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, OpenError,
-    Sample, Workspace, Wrench, Written,
+    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice,
+    OpenError, Sample, Workspace, Wrench, Written,
 };
 
 /// Messages without a new force before it fades, and for the fade: 20 ms each when the loop has stopped and a

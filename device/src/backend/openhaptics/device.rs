@@ -13,8 +13,8 @@ use super::turn::{Requests, Turner};
 use super::{frame, parameter};
 use crate::backend::mailbox::{Fade, LoopEnd, mailbox};
 use crate::{
-    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, OpenError,
-    Sample, Workspace, Wrench, Written,
+    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice,
+    OpenError, Sample, Workspace, Wrench, Written,
 };
 
 /// Turns of the servo thread without a new force before it fades, and for the fade: 20 ms each, at a thousand a
@@ -37,10 +37,7 @@ pub struct OpenHaptics {
 
 impl OpenHaptics {
     /// Opens a device by the name it has in the maker's setup program, or the default one.
-    pub(super) fn open(
-        library: Option<&Path>,
-        name: Option<&str>,
-    ) -> Result<Self, OpenError> {
+    pub(super) fn open(library: Option<&Path>, name: Option<&str>) -> Result<Self, OpenError> {
         let api = Arc::new(Api::load(library)?);
         let handle = init(&api, name)?;
         api.switch(parameter::MAX_FORCE_CLAMPING, true);

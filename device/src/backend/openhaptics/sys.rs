@@ -9,8 +9,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::backend::library::sys::text;
 use crate::OpenError;
+use crate::backend::library::sys::text;
 use crate::backend::library::{Library, Wanted};
 
 /// The library's names on this system, and how to install it.

@@ -6,8 +6,8 @@ use super::handle::queue;
 use super::{Aim, EVENTS_MAX, Follower, PointerEvent, PointerHandle};
 use crate::error::check_ranges;
 use crate::{
-    Buttons, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice,
-    OpenError, Pose, Rejection, Sample, Workspace, Wrench, Written,
+    Buttons, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, OpenError,
+    Pose, Rejection, Sample, Workspace, Wrench, Written,
 };
 
 /// Age of an event after which it presses no button, µs: the loop was held up, and the press referred to another

@@ -134,9 +134,8 @@ impl Motion {
             });
             Ok(Moment {
                 t_s: p.t_us as f64 * 1e-6,
-                pose: pose.map_err(|what| {
-                    ScriptError::new(format_args!("moment {}: {what}", k + 1))
-                })?,
+                pose: pose
+                    .map_err(|what| ScriptError::new(format_args!("moment {}: {what}", k + 1)))?,
                 buttons: Buttons::from_bits(p.buttons),
             })
         };

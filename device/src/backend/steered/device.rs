@@ -8,8 +8,8 @@ use super::driver::{Driver, Hint};
 use super::rumble::Shaker;
 use super::{RateControl, Rumble, Source, Steering};
 use crate::{
-    DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, OpenError, Pose, Rejection,
-    Sample, Workspace, Wrench, Written,
+    DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, OpenError, Pose,
+    Rejection, Sample, Workspace, Wrench, Written,
 };
 
 /// Workspace and initial pose of a tool.
@@ -49,7 +49,9 @@ pub(in crate::backend) fn not_found(what: &str) -> OpenError {
 /// The library that lists the devices does not work here.
 #[cfg(any(feature = "gamepad", feature = "spacemouse"))]
 pub(in crate::backend) fn no_search(what: &str, why: impl std::fmt::Display) -> OpenError {
-    OpenError::new(format_args!("can not search for {what}s on this system: {why}"))
+    OpenError::new(format_args!(
+        "can not search for {what}s on this system: {why}"
+    ))
 }
 
 /// A steered tool as a device. It senses and renders no force.

@@ -60,49 +60,6 @@ impl Layers {
         }
         Self { layers }
     }
-
-    /// Selects all nodes homogeneous with `node`, sorted. On an interface these are the nodes of all interfaces
-    /// that it lies on, elsewhere the inner nodes of its region. So a material or a property is given to a
-    /// tissue as a whole.
-    ///
-    /// # Panics
-    /// When the model has no such node.
-    pub fn homogeneous(&self, model: &Model, node: u32) -> Vec<u32> {
-        assert!((node as usize) < model.nodes.len(), "no node {node}");
-        let kind = |l: &Layer| (l.inside, l.outside);
-        let kinds: Vec<_> = self
-            .layers
-            .iter()
-            .filter(|l| l.nodes.contains(&node))
-            .map(kind)
-            .collect();
-        let mut selected: Vec<u32> = if kinds.is_empty() {
-            self.inner_nodes(model, node)
-        } else {
-            let of_kind = self.layers.iter().filter(|l| kinds.contains(&kind(l)));
-            of_kind.flat_map(|l| l.nodes.iter().copied()).collect()
-        };
-        selected.sort_unstable();
-        selected.dedup();
-        selected
-    }
-
-    /// The nodes of the region around `node` that lie on no interface.
-    fn inner_nodes(&self, model: &Model, node: u32) -> Vec<u32> {
-        let mut on_interface = vec![false; model.nodes.len()];
-        for layer in &self.layers {
-            for &n in &layer.nodes {
-                on_interface[n as usize] = true;
-            }
-        }
-        let own = model.cells.iter().find(|c| c.corners.contains(&node));
-        let region = own.map(|c| c.region);
-        let cells = model.cells.iter().filter(|c| Some(c.region) == region);
-        cells
-            .flat_map(|c| c.corners)
-            .filter(|n| !on_interface[*n as usize])
-            .collect()
-    }
 }
 
 /// The surface of one region over the model's own nodes: closed, wound outwards.

@@ -50,7 +50,7 @@ pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
 pub(crate) use report::report_triangles;
 pub use report::{
     BarReport, BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
-    SurfaceReport, report_surface,
+    SurfaceReport,
 };
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 

@@ -1,6 +1,5 @@
 //! The report of a build.
 
-use palpate_tissue::Boundary;
 use serde::{Deserialize, Serialize};
 
 use super::parts::root;
@@ -182,11 +181,6 @@ pub struct QualityReport {
     /// Cells given to another region because the surface of their region would have touched itself.
     #[serde(default)]
     pub cells_flipped: usize,
-}
-
-/// Counts the vertices, edges and parts of the outer surface.
-pub fn report_surface(boundary: &Boundary) -> SurfaceReport {
-    report_triangles(&boundary.triangles)
 }
 
 /// Counts the vertices, edges and parts of a surface.

@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use std::fmt::Write as _;
 
 use nalgebra::Rotation3;
-use palpate_anatomy::{Scene, InputError, SceneInput, Surface};
+use palpate_anatomy::{InputError, Scene, SceneInput, Surface};
 use palpate_tissue::Vec3;
 
 /// A closed body of revolution about z with the given profile of (radius, z), capped flat.

@@ -6,9 +6,20 @@
 
 use super::Material;
 
+/// Names of the built-in materials, in listing order.
+pub const MATERIAL_NAMES: [&str; ENTRIES.len()] = {
+    let mut names = [""; ENTRIES.len()];
+    let mut i = 0;
+    while i < names.len() {
+        names[i] = ENTRIES[i].name;
+        i += 1;
+    }
+    names
+};
+
 /// Values of a library entry; the others are those of [`Material::default`].
-pub(super) struct Entry {
-    pub(super) name: &'static str,
+struct Entry {
+    name: &'static str,
     young_kpa: f64,
     density_kg_m3: f64,
     /// Static and dynamic.
@@ -37,7 +48,7 @@ const WET: [f64; 2] = [0.2, 0.15];
 const SLIPPERY: [f64; 2] = [0.15, 0.1];
 
 /// The entries, in listing order: connective tissue, organs of the trunk, technical materials.
-pub(super) const ENTRIES: [Entry; 20] = [
+const ENTRIES: [Entry; 20] = [
     Entry {
         name: "skin",
         young_kpa: 130.0,
