@@ -50,6 +50,22 @@ pub const DIAGONALS: [[usize; 2]; 12] = [
     [5, 6],
 ];
 
+/// All pairs of corners of a cell: each of its springs once.
+pub const PAIRS: [[usize; 2]; 28] = {
+    let mut list = [[0; 2]; 28];
+    let (mut a, mut n) = (0, 0);
+    while a < 8 {
+        let mut b = a + 1;
+        while b < 8 {
+            list[n] = [a, b];
+            n += 1;
+            b += 1;
+        }
+        a += 1;
+    }
+    list
+};
+
 /// One hexahedron of the lattice. Cuts rewire its corners; they never remove it or add another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cell {

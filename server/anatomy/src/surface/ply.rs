@@ -126,7 +126,7 @@ impl Ply<'_> {
         };
         let faces = header.elements.get("face").map_or(0, |f| f.count as u64);
         if faces > TRIANGLES_MAX {
-            return Err(self.too_many(faces));
+            return Err(too_many_triangles(self.path, faces));
         }
         let all_axes = ["x", "y", "z"].iter().all(|a| has("vertex", &[a], false));
         if !all_axes || !has("face", &CORNERS, true) {
@@ -234,14 +234,6 @@ impl Ply<'_> {
     }
 
     fn wrong(&self, place: &str, what: String) -> InputError {
-        broken(self.path, place.to_owned(), what)
+        broken(self.path, place, what)
     }
-
-    fn too_many(&self, triangles: u64) -> InputError {
-        too_many_triangles(self.path, triangles)
-    }
-}
-
-fn broken(path: &Path, place: String, what: String) -> InputError {
-    broken(path, place, what)
 }
