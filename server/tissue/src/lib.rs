@@ -49,6 +49,7 @@ pub mod file;
 mod fit;
 pub mod material;
 mod model;
+pub mod nearest;
 mod shape;
 mod snapshot;
 pub mod springs;
