@@ -126,7 +126,6 @@ impl Api {
             .map(|_| ())
     }
 
-    /// Closes it.
     pub(super) fn close(&self) {
         // SAFETY: takes a number. The result no longer matters.
         let _ = unsafe { (self.close)(LAST) };
@@ -138,7 +137,6 @@ impl Api {
         unsafe { (self.system_type)(LAST) }
     }
 
-    /// The device's name.
     pub(super) fn name(&self) -> String {
         // SAFETY: takes a number and returns a text of the library's own, or null.
         unsafe { text((self.system_name)(LAST)) }
@@ -195,7 +193,6 @@ impl Api {
         unsafe { (self.has_wrist)(LAST) }
     }
 
-    /// Whether it has a gripper.
     pub(super) fn has_gripper(&self) -> bool {
         // SAFETY: takes a number.
         unsafe { (self.has_gripper)(LAST) }

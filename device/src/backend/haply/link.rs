@@ -102,7 +102,6 @@ impl Link {
     }
 }
 
-/// Error kinds of a timeout.
 fn is_late(kind: ErrorKind) -> bool {
     matches!(
         kind,

@@ -167,7 +167,6 @@ impl Api {
         numbers[0]
     }
 
-    /// A text of a parameter.
     pub(super) fn text(&self, parameter: u32) -> String {
         // SAFETY: takes a number, gives null or a text of the library's own.
         unsafe { text((self.text)(parameter)) }

@@ -18,7 +18,6 @@ use super::volume::{
 use super::{Affine, LabelVolume};
 use crate::InputError;
 
-/// Bytes of the header.
 const HEADER_BYTES: usize = 348;
 /// The same number in a header of the second version.
 const HEADER_BYTES_2: i32 = 540;

@@ -13,7 +13,6 @@ const BLOCK_BYTES: usize = 1 << 16;
 /// beyond this the memory grows with the actual data.
 const RESERVED: usize = 1 << 20;
 
-/// The type of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum SampleType {
     U8,

@@ -24,7 +24,6 @@ const PERITONEUM_MM: f64 = 4.0;
 const SHEATH_MM: f64 = 4.0;
 /// Thickness of a rectus muscle at its middle.
 const RECTUS_MM: f64 = 12.0;
-/// Half the width of a rectus muscle.
 const RECTUS_HALF_WIDTH_MM: f64 = 27.0;
 /// Half the width of the linea alba.
 const LINEA_ALBA_MM: f64 = 5.0;

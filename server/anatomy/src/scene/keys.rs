@@ -58,7 +58,6 @@ impl<'i> Text<'i> {
         ))
     }
 
-    /// A string.
     pub(super) fn string(
         &self,
         key: &str,
@@ -85,7 +84,6 @@ impl<'i> Text<'i> {
         number.ok_or_else(|| self.kind(key, value, "a number"))
     }
 
-    /// A boolean.
     pub(super) fn boolean(
         &self,
         key: &str,
@@ -108,7 +106,6 @@ impl<'i> Text<'i> {
         }
     }
 
-    /// A table.
     pub(super) fn table<'a>(
         &self,
         key: &str,

@@ -2,14 +2,12 @@
 
 use palpate_tissue::Vec3;
 
-/// One triangle's use of an edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct EdgeUse {
     /// Smaller vertex.
     pub(crate) low: u32,
     /// Larger vertex.
     pub(crate) high: u32,
-    /// The triangle.
     pub(crate) triangle: u32,
     /// Whether the triangle runs from `low` to `high`.
     pub(crate) forward: bool,
@@ -37,7 +35,6 @@ impl Edges {
         Self(uses)
     }
 
-    /// The uses of each edge, edge by edge.
     pub(crate) fn each(&self) -> impl Iterator<Item = &[EdgeUse]> {
         self.0.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high))
     }

@@ -11,7 +11,6 @@ pub(crate) struct Surface<'a> {
     pub(crate) topology: &'a Topology,
     /// Displacements in m; `None` at rest, for nearest points only.
     pub(crate) u: Option<&'a [Vec3]>,
-    /// Index that watches `u`.
     pub(crate) index: &'a SurfaceIndex,
 }
 

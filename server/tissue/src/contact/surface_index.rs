@@ -204,7 +204,6 @@ impl SurfaceIndex {
         &self.watched
     }
 
-    /// Bytes on the heap.
     #[cfg(test)]
     pub(super) fn heap_bytes(&self) -> usize {
         self.tree.heap_memory_size() + self.node_triangles.heap_bytes() + self.watched.heap_bytes()

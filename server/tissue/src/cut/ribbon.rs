@@ -99,7 +99,6 @@ pub(crate) struct Ribbon {
 }
 
 impl Ribbon {
-    /// The surface swept by the blade.
     pub(crate) fn swept(points: &[BladePoint], spacing: f64) -> Self {
         let columns: Vec<[Vec3; 2]> = points.iter().map(|p| [p.tip, p.top()]).collect();
         Self::between(&columns, spacing, 0)

@@ -93,7 +93,6 @@ fn meet(topology: &Topology, cell: u32, from: &Vec3, near: &[&Triangle], met: &m
     }
 }
 
-/// The four nodes of a face.
 pub(crate) fn nodes_of(topology: &Topology, face: FaceId) -> [u32; 4] {
     FACES[face.face()].map(|c| topology.corners(face.cell())[c])
 }
@@ -263,7 +262,6 @@ impl Erosion<'_> {
         groups.iter().any(|g| g.1 > 2)
     }
 
-    /// The new faces at an edge.
     fn new_faces_at_edge(&self, node: u32, at: usize, axis: usize) -> Vec<FaceId> {
         let cells = self.opening.topology.node_cells[node as usize];
         let mut faces = Vec::new();
@@ -277,7 +275,6 @@ impl Erosion<'_> {
         faces
     }
 
-    /// The new faces at a node.
     fn new_faces_at(&self, node: u32) -> Vec<FaceId> {
         let cells = self.opening.topology.node_cells[node as usize];
         let mut faces = Vec::new();

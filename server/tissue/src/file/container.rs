@@ -17,7 +17,6 @@ use flate2::read::DeflateDecoder;
 use flate2::write::DeflateEncoder;
 use rayon::prelude::*;
 
-/// Size in bytes of the header.
 pub(crate) const HEADER_BYTES: usize = 32;
 /// Largest content before compression, in bytes: 16 million nodes with their cells come to 1.3 GiB.
 /// A file that declares more is rejected before anything is allocated.

@@ -27,7 +27,6 @@ struct Entry {
     source: &'static str,
 }
 
-/// A built-in material.
 pub(super) fn built_in(name: &str) -> Option<Material> {
     let entry = ENTRIES.iter().find(|entry| entry.name == name)?;
     Some(Material {
