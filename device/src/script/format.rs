@@ -18,37 +18,9 @@ struct File {
     repeat: bool,
     tool: ToolTable,
     #[serde(default)]
-    hand: HandTable,
+    hand: Hand,
     #[serde(default)]
     way: Vec<WaypointTable>,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct HandTable {
-    mass_kg: f64,
-    stiffness_n_per_m: f64,
-    damping_ns_per_m: f64,
-    tremor_mm: f64,
-    seed: u64,
-}
-
-impl Default for HandTable {
-    fn default() -> Self {
-        Hand::default().into()
-    }
-}
-
-impl From<Hand> for HandTable {
-    fn from(hand: Hand) -> Self {
-        Self {
-            mass_kg: hand.mass_kg,
-            stiffness_n_per_m: hand.stiffness_n_per_m,
-            damping_ns_per_m: hand.damping_ns_per_m,
-            tremor_mm: to_mm(hand.tremor_m),
-            seed: hand.seed,
-        }
-    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -88,7 +60,7 @@ impl Script {
                 ease: way.ease,
             });
         }
-        Self::new(file.tool.tool(), hand(&file.hand), waypoints, file.repeat)
+        Self::new(file.tool.tool(), file.hand, waypoints, file.repeat)
     }
 
     /// The script as a file; parsing it gives the same script to within a nanometre.
@@ -97,7 +69,7 @@ impl Script {
             format: FORMAT.to_owned(),
             repeat: self.repeats(),
             tool: ToolTable::of(&self.tool(), to_mm),
-            hand: self.hand().into(),
+            hand: self.hand(),
             way: self.waypoints().iter().map(way_table).collect(),
         };
         toml::to_string(&file).expect("a valid script has nothing that TOML can not say")
@@ -115,19 +87,25 @@ fn way_table(way: &Waypoint) -> WaypointTable {
     }
 }
 
-fn hand(table: &HandTable) -> Hand {
-    Hand {
-        mass_kg: table.mass_kg,
-        stiffness_n_per_m: table.stiffness_n_per_m,
-        damping_ns_per_m: table.damping_ns_per_m,
-        tremor_m: table.tremor_mm / 1e3,
-        seed: table.seed,
-    }
-}
-
 /// Millimetres, rounded to a picometre so that 0.0123 m is written 12.3 and not 12.299999999999999.
 fn to_mm(m: f64) -> f64 {
     (m * 1e12).round() / 1e9
+}
+
+/// A length that is in metres here and in millimetres in the file.
+pub(super) mod mm {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    #[allow(clippy::trivially_copy_pass_by_ref)]
+    pub(in crate::script) fn serialize<S: Serializer>(m: &f64, to: S) -> Result<S::Ok, S::Error> {
+        super::to_mm(*m).serialize(to)
+    }
+
+    pub(in crate::script) fn deserialize<'a, D: Deserializer<'a>>(
+        from: D,
+    ) -> Result<f64, D::Error> {
+        f64::deserialize(from).map(|mm| mm / 1e3)
+    }
 }
 
 fn unit([w, x, y, z]: [f64; 4]) -> Option<UnitQuaternion<f64>> {

@@ -67,7 +67,8 @@ pub const REPEAT_GAP_MAX_M: f64 = 1e-4;
 /// The defaults are a choice, not a measurement: a light grip (0.3 kg that move with the tool, 5.8 Hz, damping
 /// ratio 0.55). Tissue of 100 to 1000 N/m pushes it back visibly, and it follows a script within a millimetre or
 /// two.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct Hand {
     /// Mass that moves with the tool, kg.
     pub mass_kg: f64,
@@ -77,6 +78,7 @@ pub struct Hand {
     /// that a free hand in steady motion does not lag.
     pub damping_ns_per_m: f64,
     /// Root mean square of the free hand's tremor along each axis, m.
+    #[serde(rename = "tremor_mm", with = "format::mm")]
     pub tremor_m: f64,
     /// Seed of the tremor.
     pub seed: u64,
@@ -265,40 +267,17 @@ fn check_hand(hand: &Hand) -> Result<(), ScriptError> {
     // hand, stiffness * dt² / mass <= 0.0125 and damping * dt / mass <= 0.5 at dt = 0.25 ms.
     // TOML has signed integers of 64 bits, which bounds the seed.
     let ranges = [
-        (
-            "hand.mass_kg",
-            hand.mass_kg,
-            0.05..=20.0,
-            "must be from 0.05 to 20",
-        ),
-        (
-            "hand.stiffness_n_per_m",
-            hand.stiffness_n_per_m,
-            1.0..=1e4,
-            "must be from 1 to 10000",
-        ),
-        (
-            "hand.damping_ns_per_m",
-            hand.damping_ns_per_m,
-            0.0..=100.0,
-            "must be from 0 to 100",
-        ),
-        (
-            "hand.tremor_mm",
-            hand.tremor_m * 1e3,
-            0.0..=10.0,
-            "must be from 0 to 10",
-        ),
-        (
-            "hand.seed",
-            hand.seed as f64,
-            0.0..=(1_u64 << 62) as f64,
-            "must be at most 2^62",
-        ),
+        ("hand.mass_kg", hand.mass_kg, 0.05..=20.0),
+        ("hand.stiffness_n_per_m", hand.stiffness_n_per_m, 1.0..=1e4),
+        ("hand.damping_ns_per_m", hand.damping_ns_per_m, 0.0..=100.0),
+        ("hand.tremor_mm", hand.tremor_m * 1e3, 0.0..=10.0),
+        ("hand.seed", hand.seed as f64, 0.0..=(1_u64 << 62) as f64),
     ];
-    for (key, value, range, rule) in ranges {
+    for (key, value, range) in ranges {
         if !range.contains(&value) {
-            return Err(bad_value(key, value, rule));
+            let (least, most) = range.into_inner();
+            let rule = format!("must be from {least} to {most}");
+            return Err(bad_value(key, value, &rule));
         }
     }
     Ok(())

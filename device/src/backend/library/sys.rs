@@ -52,6 +52,35 @@ impl Library {
     }
 }
 
+/// The functions of a maker's library that a driver calls: field, type, and name in the library.
+///
+/// Each type has to be that of the function in the maker's public headers. The library lives as long as the table.
+macro_rules! functions {
+    ($wanted:expr; $($field:ident: $type:ty = $name:literal,)*) => {
+        /// The used functions, and the library that contains them.
+        #[derive(Debug)]
+        pub(super) struct Api {
+            $($field: $type,)*
+            // The last field: the fields above point into it.
+            _library: Library,
+        }
+
+        impl Api {
+            /// Loads the library and resolves all functions.
+            pub(super) fn load(file: Option<&Path>) -> Result<Self, OpenError> {
+                let library = $wanted.load(file)?;
+                Ok(Self {
+                    // SAFETY: the type is that of the function, and the library is a field of the same table.
+                    $($field: unsafe { library.function($name)? },)*
+                    _library: library,
+                })
+            }
+        }
+    };
+}
+
+pub(in crate::backend) use functions;
+
 /// A text of a library's own; empty for null.
 ///
 /// # Safety
