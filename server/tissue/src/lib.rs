@@ -50,6 +50,7 @@ mod fit;
 pub mod material;
 mod model;
 pub mod nearest;
+mod rows;
 mod shape;
 mod snapshot;
 pub mod springs;
@@ -66,6 +67,7 @@ pub use equilibrium::{
 pub use file::{FileError, ModelFile, decode_model, encode_model};
 pub use material::{FibreAxis, Material};
 pub use model::{Model, Region, RegionId};
+pub use rows::Rows;
 pub use shape::Shape;
 pub use snapshot::{SNAPSHOT_FORMAT, model_hash, restore, snapshot};
 pub use staged::{Staged, WriteError, write_file};

@@ -11,7 +11,7 @@
 
 use std::collections::VecDeque;
 
-use palpate_tissue::{Model, RegionId};
+use palpate_tissue::{Model, RegionId, Rows};
 
 use super::faces::{Face, OUTSIDE, faces};
 
@@ -141,8 +141,7 @@ fn march(model: &Model, faces: &[Face], group: &[u32], slots: &mut [u32]) -> Vec
 struct Neighbours {
     /// The nodes, in order; all other tables refer to positions in this list.
     nodes: Vec<u32>,
-    start: Vec<u32>,
-    entries: Vec<u32>,
+    rows: Rows<u32>,
 }
 
 impl Neighbours {
@@ -171,22 +170,11 @@ impl Neighbours {
         }
         pairs.sort_unstable();
         pairs.dedup();
-        let mut start = vec![0; nodes.len() + 1];
-        for pair in &pairs {
-            start[pair.0 as usize + 1] += 1;
-        }
-        for slot in 0..nodes.len() {
-            start[slot + 1] += start[slot];
-        }
-        Self {
-            nodes,
-            start,
-            entries: pairs.into_iter().map(|p| p.2).collect(),
-        }
+        let rows = Rows::new(nodes.len(), pairs.iter().map(|p| (p.0, p.2)));
+        Self { nodes, rows }
     }
 
     fn of(&self, node: u32) -> &[u32] {
-        let range = self.start[node as usize] as usize..self.start[node as usize + 1] as usize;
-        &self.entries[range]
+        self.rows.row(node)
     }
 }
