@@ -223,7 +223,8 @@ impl Bvh {
         });
     }
 
-    /// Calls `each` with the number of every triangle in a leaf that neither it nor a node above `misses`.
+    /// Calls `each` with the number of every triangle in the leaves that `misses` rejects neither by themselves nor by
+    /// a node above them.
     fn walk(&self, misses: impl Fn(&Node) -> bool, mut each: impl FnMut(usize)) {
         if self.nodes.is_empty() {
             return;

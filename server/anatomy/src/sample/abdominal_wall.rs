@@ -1,6 +1,5 @@
 //! A block cut from the anterior abdominal wall above the umbilicus (Lin 2007, fig. 3.1).
 //!
-//! X points to the left side of the body, Y to the front, Z up. From the front: skin, fat, the
 //! X points to the left side of the body, Y to the front, Z up. From the front: skin, fat, the rectus sheath
 //! (fascia) with the two rectus muscles in it and the linea alba between them, peritoneum. The block has a flat
 //! back and curves like the belly in front. The tissue behind the peritoneum holds the block, so the peritoneum
