@@ -31,7 +31,7 @@ pub mod realtime;
 pub mod recording;
 mod replica;
 
-pub use devices::{DeviceError, DeviceKind, OwnedError, Sources, tool_description};
+pub use devices::{DeviceError, DeviceKind, Sources, tool_description};
 pub use program::{
     ClientError, EventCounts, JoinOptions, LINK_VARIABLE, LinkSourceError, SolveTimes, StartAt,
     StatusKind, Summary, cli, run,

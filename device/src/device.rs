@@ -47,7 +47,6 @@ pub struct DeviceCaps {
 }
 
 impl DeviceCaps {
-    /// A device without motors.
     pub(crate) fn without_motors(name: String, dof_in: u8, workspace: Workspace) -> Self {
         Self {
             name,

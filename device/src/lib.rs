@@ -21,6 +21,7 @@
 pub mod backend;
 pub mod conformance;
 mod device;
+mod error;
 mod motors;
 mod placed;
 mod sample;
@@ -32,7 +33,8 @@ pub use device::{
     Calibration, ClockOwner, DeviceCaps, DeviceFault, ForceState, HapticDevice, Rejection,
     Workspace, Written,
 };
+pub use error::{OpenError, ScriptError};
 pub use placed::{Placed, Placement};
 pub use sample::{Buttons, Faults, Pose, Sample, Wrench};
-pub use script::{Script, ScriptError};
+pub use script::Script;
 pub use time::DeviceTime;

@@ -126,7 +126,6 @@ impl Motors {
         }
     }
 
-    /// The driver renders only this wrench.
     pub(crate) fn render_only(&mut self, wrench: Wrench) {
         self.written = wrench;
     }

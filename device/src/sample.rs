@@ -73,6 +73,29 @@ impl Wrench {
     }
 }
 
+/// What sets of bits have in common.
+macro_rules! bit_set {
+    ($set:ident) => {
+        impl $set {
+            /// The bits.
+            pub const fn bits(self) -> u32 {
+                self.0
+            }
+
+            /// Whether all of `other` are in it.
+            pub const fn contains(self, other: Self) -> bool {
+                self.0 & other.0 == other.0
+            }
+
+            /// These and `other`.
+            #[must_use]
+            pub const fn with(self, other: Self) -> Self {
+                Self(self.0 | other.0)
+            }
+        }
+    };
+}
+
 /// The buttons of a tool, one bit each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct Buttons(u32);
@@ -89,23 +112,9 @@ impl Buttons {
     pub const fn from_bits(bits: u32) -> Self {
         Self(bits)
     }
-
-    /// The bits; bit 0 is the primary button.
-    pub const fn bits(self) -> u32 {
-        self.0
-    }
-
-    /// Whether all of `other` are held.
-    pub const fn contains(self, other: Self) -> bool {
-        self.0 & other.0 == other.0
-    }
-
-    /// These and `other`.
-    #[must_use]
-    pub const fn with(self, other: Self) -> Self {
-        Self(self.0 | other.0)
-    }
 }
+
+bit_set!(Buttons);
 
 /// Faults that a device reports while it still answers, one bit each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -134,25 +143,9 @@ impl Faults {
         | Self::EMERGENCY_STOP.0
         | Self::UNTRUSTED_POSE.0;
 
-    /// The bits.
-    pub const fn bits(self) -> u32 {
-        self.0
-    }
-
     /// Whether there is no fault.
     pub const fn is_empty(self) -> bool {
         self.0 == 0
-    }
-
-    /// Whether all of `other` are set.
-    pub const fn contains(self, other: Self) -> bool {
-        self.0 & other.0 == other.0
-    }
-
-    /// These and `other`.
-    #[must_use]
-    pub const fn with(self, other: Self) -> Self {
-        Self(self.0 | other.0)
     }
 
     /// Whether any of them forbids force, because the device's state or the hand's is unknown.
@@ -160,6 +153,8 @@ impl Faults {
         self.0 & Self::STOPPING != 0
     }
 }
+
+bit_set!(Faults);
 
 /// One reading of a device; plain data that is copied between threads.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -7,24 +7,12 @@ use std::fs::{File, metadata};
 use std::io::{Error, ErrorKind, Read as _};
 use std::path::Path;
 
-use thiserror::Error as ThisError;
-
-/// Reason for not reading a text. The caller adds the file's name and the expected content.
-#[derive(Debug, ThisError)]
-pub enum TextFileError {
-    /// Not a regular file, or the system can not read it.
-    #[error(transparent)]
-    Read(#[from] Error),
-    /// More bytes than the bound.
-    #[error("it has {bytes} bytes")]
-    TooLarge {
-        /// Its size, or the number of bytes read where the system reports none.
-        bytes: u64,
-    },
-}
-
-/// The text of a regular file of at most `bytes_max` bytes.
-pub fn read(path: &Path, bytes_max: u64) -> Result<String, TextFileError> {
+/// The text of a regular file of at most `bytes_max` bytes. The caller adds the file's name to an error.
+pub fn read(path: &Path, bytes_max: u64) -> Result<String, Error> {
+    let too_large = |bytes: u64| {
+        let why = format!("it has {bytes} bytes; {bytes_max} are the most");
+        Error::new(ErrorKind::FileTooLarge, why)
+    };
     let said = metadata(path)?;
     if said.is_dir() {
         return Err(no_file("it is a folder; name the file in it"));
@@ -35,15 +23,14 @@ pub fn read(path: &Path, bytes_max: u64) -> Result<String, TextFileError> {
         ));
     }
     if said.len() > bytes_max {
-        return Err(TextFileError::TooLarge { bytes: said.len() });
+        return Err(too_large(said.len()));
     }
     let mut text = Vec::new();
     let read = File::open(path)?
         .take(bytes_max.saturating_add(1))
         .read_to_end(&mut text)?;
     if read as u64 > bytes_max {
-        let bytes = metadata(path)?.len().max(read as u64);
-        return Err(TextFileError::TooLarge { bytes });
+        return Err(too_large(metadata(path)?.len().max(read as u64)));
     }
     String::from_utf8(text).map_err(|e| {
         let valid = &e.as_bytes()[..e.utf8_error().valid_up_to()];
@@ -52,8 +39,8 @@ pub fn read(path: &Path, bytes_max: u64) -> Result<String, TextFileError> {
     })
 }
 
-fn no_file(why: &str) -> TextFileError {
-    TextFileError::Read(Error::new(ErrorKind::InvalidInput, why))
+fn no_file(why: &str) -> Error {
+    Error::new(ErrorKind::InvalidInput, why)
 }
 
 #[cfg(test)]
@@ -66,10 +53,8 @@ mod tests {
         let path = dir.path().join("a.csv");
         std::fs::write(&path, "12345").unwrap();
         assert_eq!(read(&path, 5).unwrap(), "12345");
-        assert!(matches!(
-            read(&path, 4),
-            Err(TextFileError::TooLarge { bytes: 5 })
-        ));
+        let said = read(&path, 4).unwrap_err().to_string();
+        assert!(said.contains("it has 5 bytes"), "{said}");
         std::fs::write(&path, b"a\nb\xff").unwrap();
         let said = read(&path, 5).unwrap_err().to_string();
         assert!(said.contains("line 2"), "{said}");

@@ -9,8 +9,7 @@ use std::sync::OnceLock;
 
 use mock::Mock;
 use nalgebra::Vector3;
-use palpate_device::backend::dhd::{self, Dhd, DhdError};
-use palpate_device::backend::{LibraryError, SelectionError};
+use palpate_device::backend::dhd::{self, Dhd};
 use palpate_device::conformance::{self, Hooks, Options, Outcome, Report, Row};
 use palpate_device::{
     Buttons, Calibration, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Rejection,
@@ -244,12 +243,11 @@ fn several_devices_are_listed_and_one_is_chosen_by_its_serial_number() {
         found.iter().map(|f| f.id.as_str()).collect::<Vec<_>>(),
         ["4000", "4001"]
     );
-    let several = dhd::open(Some(&mock.file()), None).unwrap_err();
-    assert!(matches!(
-        &several,
-        DhdError::SelectionError(SelectionError::Several { .. })
-    ));
-    assert!(several.to_string().contains("dhd:4000"), "{several}");
+    let several = dhd::open(Some(&mock.file()), None).unwrap_err().to_string();
+    assert!(
+        several.contains("choose one") && several.contains("dhd:4000"),
+        "{several}"
+    );
     assert!(dhd::open(Some(&mock.file()), Some("4001")).is_ok());
     assert_eq!(
         mock.log().iter().rfind(|l| l.starts_with("open")).unwrap(),
@@ -293,10 +291,7 @@ fn errors_of_the_library_name_the_file() {
         assert!(!text.contains('\n'), "{text}");
     }
     let nowhere = dhd::open(Some(Path::new("nowhere/libdrd.so")), None).unwrap_err();
-    assert!(matches!(
-        nowhere,
-        DhdError::Library(LibraryError::Unreadable { .. })
-    ));
+    assert!(nowhere.to_string().contains("can not be read"), "{nowhere}");
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("libdrd.so");
     let mut elf = [0_u8; 64];

@@ -8,8 +8,7 @@ use std::net::TcpListener;
 
 use fake_haply::{Fake, Manners, Told};
 use nalgebra::Vector3;
-use palpate_device::backend::SelectionError;
-use palpate_device::backend::haply::{self, Haply, HaplyError, Service};
+use palpate_device::backend::haply::{self, Haply, Service};
 use palpate_device::conformance::{self, Hooks, Options, Outcome, Report, Row};
 use palpate_device::{
     Buttons, Calibration, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Sample, Wrench,
@@ -254,12 +253,7 @@ fn several_devices_are_listed_and_one_is_chosen_by_its_id() {
     let fake = Fake::start(true, &["049D", "04BA"]);
     let found = haply::find(&fake.service).unwrap();
     assert_eq!(found.len(), 2);
-    let several = haply::open(&fake.service, None).unwrap_err();
-    assert!(matches!(
-        &several,
-        HaplyError::SelectionError(SelectionError::Several { .. })
-    ));
-    let text = several.to_string();
+    let text = haply::open(&fake.service, None).unwrap_err().to_string();
     assert!(
         text.contains("049D") && text.contains("04BA") && text.contains("haply:049D"),
         "{text}"
@@ -284,7 +278,7 @@ fn errors_of_the_service_are_one_sentence() {
             simulation: url,
             events: None,
         };
-        haply::open(&service, None).unwrap_err()
+        haply::open(&service, None).unwrap_err().to_string()
     };
     // A port that was free a moment ago.
     let free = TcpListener::bind("127.0.0.1:0")
@@ -292,22 +286,17 @@ fn errors_of_the_service_are_one_sentence() {
         .local_addr()
         .unwrap();
     let absent = at(format!("ws://{free}"));
-    assert!(matches!(absent, HaplyError::NotRunning { .. }));
-    assert!(absent.to_string().contains("haply.co"), "{absent}");
-    assert!(matches!(
-        at("http://localhost".to_owned()),
-        HaplyError::Address(_)
-    ));
+    assert!(absent.contains("haply.co"), "{absent}");
+    let address = at("http://localhost".to_owned());
+    assert!(address.contains("invalid address"), "{address}");
     let mute = TcpListener::bind("127.0.0.1:0").unwrap();
     let silent = at(format!("ws://{}", mute.local_addr().unwrap()));
-    assert!(matches!(silent, HaplyError::Silent { .. }), "{silent}");
+    assert!(silent.contains("sends nothing"), "{silent}");
     let fake = Fake::start(true, &["049D"]);
     fake.with(|t| t.manners = Manners::Garbage);
     let other = haply::find(&fake.service).unwrap_err().to_string();
     assert!(other.contains("220 mail.example.org"), "{other}");
     fake.with(|t| t.manners = Manners::Silent);
-    assert!(matches!(
-        haply::find(&fake.service),
-        Err(HaplyError::Silent { .. })
-    ));
+    let silent = haply::find(&fake.service).unwrap_err().to_string();
+    assert!(silent.contains("sends nothing"), "{silent}");
 }

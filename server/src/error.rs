@@ -1,31 +1,21 @@
 //! Errors of the server's commands.
 
-use palpate_anatomy::sample::SampleError;
-use palpate_anatomy::{BuildError, LabelError, SceneError};
+use palpate_anatomy::InputError;
 use palpate_tissue::{FileError, WriteError};
 use palpate_transport::TransportError;
 
 /// Error of a command of the server.
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
-    /// The scene or one of its surfaces is not usable.
+    /// A scene, a surface, a label volume or a sample is not usable.
     #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// The label volume is not usable.
-    #[error(transparent)]
-    Labels(#[from] LabelError),
-    /// The model can not be built.
-    #[error(transparent)]
-    Build(#[from] BuildError),
+    Input(#[from] InputError),
     /// The model file can not be read.
     #[error(transparent)]
     File(#[from] FileError),
     /// A file can not be written.
     #[error(transparent)]
     Write(#[from] WriteError),
-    /// The sample can not be written.
-    #[error(transparent)]
-    Sample(#[from] SampleError),
     /// The network can not be used.
     #[error(transparent)]
     Transport(#[from] TransportError),

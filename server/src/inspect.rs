@@ -259,7 +259,7 @@ mod tests {
         };
         for name in ["a.nii", "a.nii.gz", "a.nrrd"] {
             let error = refusal(name);
-            assert!(matches!(error, ServerError::Labels(_)), "{error}");
+            assert!(matches!(error, ServerError::Input(_)), "{error}");
             assert!(error.to_string().contains(name), "{error}");
         }
         for name in ["a.palp", "a.txt"] {

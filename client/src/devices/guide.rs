@@ -1,7 +1,7 @@
 //! Source of a device's motion (a script, a recording or a user's hand), and the tool that it carries.
 
 use nalgebra::Vector3;
-use palpate_device::backend::replay::{Moment, Motion, MotionError};
+use palpate_device::backend::replay::{Moment, Motion};
 use palpate_device::script::Tool;
 use palpate_device::{Buttons, HapticDevice, Pose, Script, ScriptError};
 use palpate_protocol::Role;
@@ -113,7 +113,7 @@ impl Guide {
         let script = || -> Result<Script, ScriptError> {
             Script::resting_probe(Vector3::zeros(), BALL.radius_m)
         };
-        let motion = || -> Result<Motion, MotionError> {
+        let motion = || -> Result<Motion, ScriptError> {
             let moment = |t_s| Moment {
                 t_s,
                 pose: Pose::default(),

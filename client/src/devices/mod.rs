@@ -10,18 +10,17 @@ mod plot;
 mod script_tool;
 
 use clap::ValueEnum;
-use palpate_device::HapticDevice;
 use palpate_device::backend::five_dof;
 use palpate_device::backend::replay::Replay;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
-use palpate_device::backend::steered::OpenError;
+use palpate_device::{HapticDevice, OpenError};
 use serde::Serialize;
 
 pub(crate) use choice::DeviceChoice;
 pub(crate) use command::{DevicesArguments, run};
 pub(crate) use guide::{Guide, Moves};
 pub(crate) use hold::HeldDevice;
-pub use owned::{OwnedError, Sources};
+pub use owned::Sources;
 pub use script_tool::tool_description;
 
 /// Kinds of supported devices.
@@ -141,13 +140,10 @@ impl DeviceKind {
 pub enum DeviceError {
     /// The device can not follow the script.
     #[error("the device five-dof can not follow this script: {0}")]
-    FiveDof(#[from] five_dof::Unsuited),
+    FiveDof(OpenError),
     /// It is not connected or not available.
     #[error(transparent)]
-    Owned(#[from] OwnedError),
-    /// The same for a steered device.
-    #[error(transparent)]
-    Input(#[from] OpenError),
+    Open(#[from] OpenError),
     /// A different source moves it.
     #[error("the device {device} is moved by {moves}: give {option} FILE, and not {instead}")]
     MovedOtherwise {
@@ -192,7 +188,7 @@ pub(crate) fn open(
     };
     Ok(match (kind, &guide.moves) {
         (DeviceKind::FiveDof, Moves::Script(script)) => {
-            Box::new(five_dof::simulated(script, start)?)
+            Box::new(five_dof::simulated(script, start).map_err(DeviceError::FiveDof)?)
         }
         (DeviceKind::Sim | DeviceKind::Auto, Moves::Script(script)) => {
             Box::new(SimHand::new(script.clone(), start))

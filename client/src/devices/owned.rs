@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use palpate_device::HapticDevice;
-use palpate_device::backend::haply::{self, HaplyError, Service};
+use palpate_device::backend::haply::{self, Service};
 use palpate_device::backend::{Found, dhd, openhaptics};
+use palpate_device::{HapticDevice, OpenError};
 
 use super::DeviceKind;
 
@@ -41,22 +41,8 @@ impl Sources {
     }
 }
 
-/// Reason why a commercial device can not be opened.
-#[derive(Debug, thiserror::Error)]
-pub enum OwnedError {
-    /// An Inverse3.
-    #[error(transparent)]
-    Haply(#[from] HaplyError),
-    /// A Touch or Phantom.
-    #[error(transparent)]
-    OpenHaptics(#[from] openhaptics::OpenHapticsError),
-    /// A device of Force Dimension or a Falcon.
-    #[error(transparent)]
-    Dhd(#[from] dhd::DhdError),
-}
-
 /// Connected devices of this kind; none if it is not a commercial kind.
-pub(crate) fn find(kind: DeviceKind, sources: &Sources) -> Result<Vec<Found>, OwnedError> {
+pub(crate) fn find(kind: DeviceKind, sources: &Sources) -> Result<Vec<Found>, OpenError> {
     Ok(match kind {
         DeviceKind::Haply => haply::find(&sources.haply)?,
         DeviceKind::OpenHaptics => vec![openhaptics::find(sources.libhd.as_deref(), None)?],
@@ -81,7 +67,7 @@ pub(super) fn open(
     kind: DeviceKind,
     which: Option<&str>,
     sources: &Sources,
-) -> Result<Option<Box<dyn HapticDevice>>, OwnedError> {
+) -> Result<Option<Box<dyn HapticDevice>>, OpenError> {
     Ok(Some(match kind {
         DeviceKind::Haply => Box::new(haply::open(&sources.haply, which)?),
         DeviceKind::OpenHaptics => Box::new(openhaptics::open(sources.libhd.as_deref(), which)?),

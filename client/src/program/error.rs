@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use palpate_device::ScriptError;
-use palpate_device::backend::replay::MotionError;
 use palpate_protocol::handshake::Refused;
 use palpate_protocol::link::LinkError;
 use palpate_protocol::session::CloseReason;
@@ -36,7 +35,7 @@ pub enum ClientError {
         /// Path of the motion.
         path: PathBuf,
         /// Error and its position.
-        source: MotionError,
+        source: ScriptError,
     },
     /// A role with a tool, without a device.
     #[error(

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use thiserror::Error;
+use crate::OpenError;
 
 /// A device that a driver has found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -21,48 +21,6 @@ impl fmt::Display for Found {
     }
 }
 
-/// Reason why the choice of a device fails.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub enum SelectionError {
-    /// No device is plugged in.
-    #[error("no device of the kind {kind} is plugged in: {hint}")]
-    None {
-        /// The driver's name.
-        kind: &'static str,
-        /// Remedy.
-        hint: &'static str,
-    },
-    /// Several devices are plugged in.
-    #[error("{} devices of the kind {kind} are plugged in: {}; choose one, as in {kind}:{}", found.len(),
-            list(found), found[0].id)]
-    Several {
-        /// The driver's name.
-        kind: &'static str,
-        /// All of them; never empty.
-        found: Vec<Found>,
-    },
-    /// The requested device is not plugged in, but others are.
-    #[error("no device {kind}:{which} is plugged in; there is {}", list(found))]
-    NoSuch {
-        /// The driver's name.
-        kind: &'static str,
-        /// The requested id.
-        which: String,
-        /// The devices found; never empty.
-        found: Vec<Found>,
-    },
-    /// Two devices have the same id.
-    #[error("{count} devices of the kind {kind} have the id {which}; unplug all but one")]
-    Alike {
-        /// The driver's name.
-        kind: &'static str,
-        /// The requested id.
-        which: String,
-        /// How many.
-        count: usize,
-    },
-}
-
 fn list(found: &[Found]) -> String {
     let all: Vec<String> = found.iter().map(Found::to_string).collect();
     all.join(", ")
@@ -71,40 +29,40 @@ fn list(found: &[Found]) -> String {
 /// Index in `found` of the selected device: without an id, the only device, or the only free one. A single device
 /// that is not free is still selected, so that opening it reports the reason.
 pub(super) fn choose(
-    kind: &'static str,
-    hint: &'static str,
+    kind: &str,
+    hint: &str,
     found: &[Found],
     which: Option<&str>,
-) -> Result<usize, SelectionError> {
+) -> Result<usize, OpenError> {
     let is_any_free = found.iter().any(|f| f.is_free);
     let fits = |f: &Found| match which {
         Some(which) => f.id.eq_ignore_ascii_case(which),
         None => f.is_free || !is_any_free,
     };
     let places: Vec<usize> = (0..found.len()).filter(|&i| fits(&found[i])).collect();
-    match (places.as_slice(), which) {
-        ([one], _) => Ok(*one),
-        (_, _) if found.is_empty() => Err(SelectionError::None { kind, hint }),
-        ([], which) => Err(SelectionError::NoSuch {
-            kind,
-            which: which.unwrap_or_default().to_owned(),
-            found: found.to_vec(),
-        }),
-        (many, Some(which)) => Err(SelectionError::Alike {
-            kind,
-            which: which.to_owned(),
-            count: many.len(),
-        }),
-        (_, None) => Err(SelectionError::Several {
-            kind,
-            found: found.to_vec(),
-        }),
-    }
+    let all = list(found);
+    Err(OpenError::new(match (places.as_slice(), which) {
+        ([one], _) => return Ok(*one),
+        _ if found.is_empty() => format!("no device of the kind {kind} is plugged in: {hint}"),
+        ([], which) => {
+            let which = which.unwrap_or_default();
+            format!("no device {kind}:{which} is plugged in; there is {all}")
+        }
+        (many, Some(which)) => format!(
+            "{} devices of the kind {kind} have the id {which}; unplug all but one",
+            many.len()
+        ),
+        (_, None) => format!(
+            "{} devices of the kind {kind} are plugged in: {all}; choose one, as in {kind}:{}",
+            found.len(),
+            found[0].id
+        ),
+    }))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Found, SelectionError, choose};
+    use super::{Found, choose};
 
     fn found(ids: &[&str]) -> Vec<Found> {
         let one = |id: &&str| Found {
@@ -120,13 +78,14 @@ mod tests {
         let pick = |ids: &[&str], which| choose("haply", "look", &found(ids), which);
         assert_eq!(pick(&["049D"], None), Ok(0));
         assert_eq!(pick(&["049D", "04BA"], Some("04ba")), Ok(1));
-        assert!(matches!(pick(&[], None), Err(SelectionError::None { .. })));
-        assert!(matches!(
-            pick(&[], Some("1")),
-            Err(SelectionError::None { .. })
-        ));
-        let twice = pick(&["049D", "049D"], Some("049D")).unwrap_err();
-        assert!(matches!(twice, SelectionError::Alike { count: 2, .. }));
+        for (ids, which, why) in [
+            (&[][..], None, "is plugged in: look"),
+            (&[], Some("1"), "is plugged in: look"),
+            (&["049D", "049D"], Some("049D"), "2 devices of the kind"),
+        ] {
+            let said = pick(ids, which).unwrap_err().to_string();
+            assert!(said.contains(why), "{said}");
+        }
     }
 
     #[test]
@@ -143,7 +102,7 @@ mod tests {
         assert_eq!(pick(&[false, true], Some("0")), Ok(0));
         for doubtful in [&[false, false][..], &[true, false, true]] {
             let several = pick(doubtful, None);
-            assert!(matches!(several, Err(SelectionError::Several { .. })));
+            assert!(several.unwrap_err().to_string().contains("choose one"));
         }
     }
 

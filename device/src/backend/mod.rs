@@ -17,5 +17,4 @@ pub mod sim;
 pub mod spacemouse;
 pub mod steered;
 
-pub use found::{Found, SelectionError};
-pub use library::LibraryError;
+pub use found::Found;

@@ -41,7 +41,6 @@ impl Bench<'_, '_> {
         Wrench::from_force(force)
     }
 
-    /// Ticks in `s` seconds.
     fn ticks_in(&self, s: f64) -> usize {
         (self.device.caps().rate_hz * s) as usize
     }

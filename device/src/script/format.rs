@@ -4,7 +4,8 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::tool::ToolTable;
-use super::{Ease, Hand, Script, ScriptError, Waypoint};
+use super::{Ease, Hand, Script, Waypoint, bad_waypoint};
+use crate::ScriptError;
 
 /// The first line of every script.
 const FORMAT: &str = "palpate-script/1";
@@ -17,37 +18,9 @@ struct File {
     repeat: bool,
     tool: ToolTable,
     #[serde(default)]
-    hand: HandTable,
+    hand: Hand,
     #[serde(default)]
     way: Vec<WaypointTable>,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct HandTable {
-    mass_kg: f64,
-    stiffness_n_per_m: f64,
-    damping_ns_per_m: f64,
-    tremor_mm: f64,
-    seed: u64,
-}
-
-impl Default for HandTable {
-    fn default() -> Self {
-        Hand::default().into()
-    }
-}
-
-impl From<Hand> for HandTable {
-    fn from(hand: Hand) -> Self {
-        Self {
-            mass_kg: hand.mass_kg,
-            stiffness_n_per_m: hand.stiffness_n_per_m,
-            damping_ns_per_m: hand.damping_ns_per_m,
-            tremor_mm: to_mm(hand.tremor_m),
-            seed: hand.seed,
-        }
-    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -66,19 +39,18 @@ struct WaypointTable {
 impl Script {
     /// Parses a script; the format is described at the head of [`script`](crate::script).
     pub fn from_toml(text: &str) -> Result<Self, ScriptError> {
-        let file: File = toml::from_str(text).map_err(|e| ScriptError::Syntax(explain(&e)))?;
+        let file: File = toml::from_str(text).map_err(|e| explain(&e))?;
         if file.format != FORMAT {
-            return Err(ScriptError::Format { found: file.format });
+            let found = file.format;
+            let why = format_args!("format is \"{found}\", but this program reads \"{FORMAT}\"");
+            return Err(ScriptError::new(why));
         }
         let mut waypoints = Vec::with_capacity(file.way.len());
         let mut orientation = UnitQuaternion::identity();
         for (i, way) in file.way.iter().enumerate() {
             if let Some(quat) = way.quat {
-                orientation = unit(quat).ok_or(ScriptError::Waypoint {
-                    number: i + 1,
-                    t_s: way.t_s,
-                    rule: "quat = [w, x, y, z] must have length 1 (within 1 %)",
-                })?;
+                let rule = "quat = [w, x, y, z] must have length 1 (within 1 %)";
+                orientation = unit(quat).ok_or_else(|| bad_waypoint(i + 1, way.t_s, rule))?;
             }
             waypoints.push(Waypoint {
                 t_s: way.t_s,
@@ -88,7 +60,7 @@ impl Script {
                 ease: way.ease,
             });
         }
-        Self::new(file.tool.tool(), hand(&file.hand), waypoints, file.repeat)
+        Self::new(file.tool.tool(), file.hand, waypoints, file.repeat)
     }
 
     /// The script as a file; parsing it gives the same script to within a nanometre.
@@ -97,7 +69,7 @@ impl Script {
             format: FORMAT.to_owned(),
             repeat: self.repeats(),
             tool: ToolTable::of(&self.tool(), to_mm),
-            hand: self.hand().into(),
+            hand: self.hand(),
             way: self.waypoints().iter().map(way_table).collect(),
         };
         toml::to_string(&file).expect("a valid script has nothing that TOML can not say")
@@ -115,19 +87,25 @@ fn way_table(way: &Waypoint) -> WaypointTable {
     }
 }
 
-fn hand(table: &HandTable) -> Hand {
-    Hand {
-        mass_kg: table.mass_kg,
-        stiffness_n_per_m: table.stiffness_n_per_m,
-        damping_ns_per_m: table.damping_ns_per_m,
-        tremor_m: table.tremor_mm / 1e3,
-        seed: table.seed,
-    }
-}
-
 /// Millimetres, rounded to a picometre so that 0.0123 m is written 12.3 and not 12.299999999999999.
 fn to_mm(m: f64) -> f64 {
     (m * 1e12).round() / 1e9
+}
+
+/// A length that is in metres here and in millimetres in the file.
+pub(super) mod mm {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    #[allow(clippy::trivially_copy_pass_by_ref)]
+    pub(in crate::script) fn serialize<S: Serializer>(m: &f64, to: S) -> Result<S::Ok, S::Error> {
+        super::to_mm(*m).serialize(to)
+    }
+
+    pub(in crate::script) fn deserialize<'a, D: Deserializer<'a>>(
+        from: D,
+    ) -> Result<f64, D::Error> {
+        f64::deserialize(from).map(|mm| mm / 1e3)
+    }
 }
 
 fn unit([w, x, y, z]: [f64; 4]) -> Option<UnitQuaternion<f64>> {
@@ -141,7 +119,7 @@ fn unit([w, x, y, z]: [f64; 4]) -> Option<UnitQuaternion<f64>> {
 }
 
 /// The parser's message (it names line and column), and for an unknown key the nearest known one.
-fn explain(error: &toml::de::Error) -> String {
+fn explain(error: &toml::de::Error) -> ScriptError {
     let text = error.to_string();
     let mut names = error.message().split('`').skip(1).step_by(2);
     let is_unknown = error.message().starts_with("unknown ");
@@ -150,10 +128,12 @@ fn explain(error: &toml::de::Error) -> String {
             strsim::jaro_winkler(unknown, a).total_cmp(&strsim::jaro_winkler(unknown, b))
         })
     });
-    match nearest {
-        Some(nearest) => format!("{}\ndid you mean `{nearest}`?", text.trim_end()),
-        None => text.trim_end().to_owned(),
-    }
+    let hint = nearest.map(|n| format!("\ndid you mean `{n}`?"));
+    ScriptError::new(format_args!(
+        "the script is not understood: {}{}",
+        text.trim_end(),
+        hint.unwrap_or_default()
+    ))
 }
 
 #[cfg(test)]
@@ -161,7 +141,7 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
 
-    use super::super::{Ease, Hand, Script, ScriptError, Tool, ToolKind, Waypoint};
+    use super::super::{Ease, Hand, Script, Tool, ToolKind, Waypoint};
 
     /// The example at the head of the module, as the reader sees it.
     fn example() -> String {
@@ -208,7 +188,7 @@ mod tests {
     #[test]
     fn another_format_is_refused_by_name() {
         let e = Script::from_toml(&example().replace("script/1", "script/2")).unwrap_err();
-        assert!(matches!(&e, ScriptError::Format { found } if found == "palpate-script/2"));
+        assert!(e.to_string().contains("\"palpate-script/2\""), "{e}");
     }
 
     #[test]

@@ -42,10 +42,8 @@ use std::path::Path;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
-use crate::text_file::{self, TextFileError};
-use crate::{Placement, Pose};
+use crate::{Placement, Pose, ScriptError, text_file};
 
 pub use motion::ScriptPose;
 pub use tool::{Tool, ToolKind};
@@ -69,7 +67,8 @@ pub const REPEAT_GAP_MAX_M: f64 = 1e-4;
 /// The defaults are a choice, not a measurement: a light grip (0.3 kg that move with the tool, 5.8 Hz, damping
 /// ratio 0.55). Tissue of 100 to 1000 N/m pushes it back visibly, and it follows a script within a millimetre or
 /// two.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct Hand {
     /// Mass that moves with the tool, kg.
     pub mass_kg: f64,
@@ -79,6 +78,7 @@ pub struct Hand {
     /// that a free hand in steady motion does not lag.
     pub damping_ns_per_m: f64,
     /// Root mean square of the free hand's tremor along each axis, m.
+    #[serde(rename = "tremor_mm", with = "format::mm")]
     pub tremor_m: f64,
     /// Seed of the tremor.
     pub seed: u64,
@@ -163,71 +163,6 @@ impl Waypoint {
     }
 }
 
-/// Reason for rejecting a script.
-#[derive(Debug, Error)]
-pub enum ScriptError {
-    /// The file could not be read.
-    #[error("cannot read the script {path}: {source}")]
-    Read {
-        /// The file.
-        path: String,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// The file is too large.
-    #[error("the script {path} has {bytes} bytes; {SCRIPT_BYTES_MAX} are the most")]
-    TooLarge {
-        /// The file.
-        path: String,
-        /// Its size.
-        bytes: u64,
-    },
-    /// Not TOML, a key that is not known, or a value of the wrong type.
-    #[error("the script is not understood: {0}")]
-    Syntax(String),
-    /// Another format, or another version of it.
-    #[error("format is \"{found}\", but this program reads \"palpate-script/1\"")]
-    Format {
-        /// The format in the file.
-        found: String,
-    },
-    /// An invalid value of `[tool]` or `[hand]`.
-    #[error("{key} = {value}: {rule}")]
-    Value {
-        /// The key with its table.
-        key: &'static str,
-        /// Its value.
-        value: f64,
-        /// The rule it violates.
-        rule: &'static str,
-    },
-    /// No way point at all.
-    #[error("the script has no [[way]]; write at least one")]
-    NoWaypoint,
-    /// More way points than the bound.
-    #[error("the script has {0} way points; {WAYPOINTS_MAX} are the most")]
-    TooManyWaypoints(usize),
-    /// An invalid way point.
-    #[error("way point {number} (at {t_s} s): {rule}")]
-    Waypoint {
-        /// Which, the first being 1.
-        number: usize,
-        /// Its time.
-        t_s: f64,
-        /// The rule it violates.
-        rule: &'static str,
-    },
-    /// A repeated script that does not end where it begins.
-    #[error(
-        "repeat = true, but the last way point is {gap_mm} mm from the first; \
-         end the script where it begins"
-    )]
-    RepeatGap {
-        /// The distance, mm.
-        gap_mm: f64,
-    },
-}
-
 /// The motion of a simulated hand over time. Valid by construction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Script {
@@ -269,18 +204,7 @@ impl Script {
 
     /// Reads a script file.
     pub fn load(path: &Path) -> Result<Self, ScriptError> {
-        let name = || path.display().to_string();
-        let text = text_file::read(path, SCRIPT_BYTES_MAX).map_err(|e| match e {
-            TextFileError::Read(source) => ScriptError::Read {
-                path: name(),
-                source,
-            },
-            TextFileError::TooLarge { bytes } => ScriptError::TooLarge {
-                path: name(),
-                bytes,
-            },
-        })?;
-        Self::from_toml(&text)
+        Self::from_toml(&text_file::read(path, SCRIPT_BYTES_MAX)?)
     }
 
     /// The tool in the hand.
@@ -343,61 +267,46 @@ fn check_hand(hand: &Hand) -> Result<(), ScriptError> {
     // hand, stiffness * dt² / mass <= 0.0125 and damping * dt / mass <= 0.5 at dt = 0.25 ms.
     // TOML has signed integers of 64 bits, which bounds the seed.
     let ranges = [
-        (
-            "hand.mass_kg",
-            hand.mass_kg,
-            0.05..=20.0,
-            "must be from 0.05 to 20",
-        ),
-        (
-            "hand.stiffness_n_per_m",
-            hand.stiffness_n_per_m,
-            1.0..=1e4,
-            "must be from 1 to 10000",
-        ),
-        (
-            "hand.damping_ns_per_m",
-            hand.damping_ns_per_m,
-            0.0..=100.0,
-            "must be from 0 to 100",
-        ),
-        (
-            "hand.tremor_mm",
-            hand.tremor_m * 1e3,
-            0.0..=10.0,
-            "must be from 0 to 10",
-        ),
-        (
-            "hand.seed",
-            hand.seed as f64,
-            0.0..=(1_u64 << 62) as f64,
-            "must be at most 2^62",
-        ),
+        ("hand.mass_kg", hand.mass_kg, 0.05..=20.0),
+        ("hand.stiffness_n_per_m", hand.stiffness_n_per_m, 1.0..=1e4),
+        ("hand.damping_ns_per_m", hand.damping_ns_per_m, 0.0..=100.0),
+        ("hand.tremor_mm", hand.tremor_m * 1e3, 0.0..=10.0),
+        ("hand.seed", hand.seed as f64, 0.0..=(1_u64 << 62) as f64),
     ];
-    for (key, value, range, rule) in ranges {
+    for (key, value, range) in ranges {
         if !range.contains(&value) {
-            return Err(ScriptError::Value { key, value, rule });
+            let (least, most) = range.into_inner();
+            let rule = format!("must be from {least} to {most}");
+            return Err(bad_value(key, value, &rule));
         }
     }
     Ok(())
 }
 
+/// An invalid value of `[tool]` or `[hand]`.
+fn bad_value(key: &str, value: f64, rule: &str) -> ScriptError {
+    ScriptError::new(format_args!("{key} = {value}: {rule}"))
+}
+
+/// An invalid way point, the first being number 1.
+fn bad_waypoint(number: usize, t_s: f64, rule: &str) -> ScriptError {
+    ScriptError::new(format_args!("way point {number} (at {t_s} s): {rule}"))
+}
+
 fn check_waypoints(waypoints: &[Waypoint], repeat: bool) -> Result<(), ScriptError> {
     let Some((first, last)) = waypoints.first().zip(waypoints.last()) else {
-        return Err(ScriptError::NoWaypoint);
+        return Err(ScriptError::new(
+            "the script has no [[way]]; write at least one",
+        ));
     };
     if waypoints.len() > WAYPOINTS_MAX {
-        return Err(ScriptError::TooManyWaypoints(waypoints.len()));
+        let n = waypoints.len();
+        let why = format_args!("the script has {n} way points; {WAYPOINTS_MAX} are the most");
+        return Err(ScriptError::new(why));
     }
     let mut before = f64::NEG_INFINITY;
     for (i, way) in waypoints.iter().enumerate() {
-        let refuse = |rule| {
-            Err(ScriptError::Waypoint {
-                number: i + 1,
-                t_s: way.t_s,
-                rule,
-            })
-        };
+        let refuse = |rule| Err(bad_waypoint(i + 1, way.t_s, rule));
         if !way.t_s.is_finite() || way.t_s.abs() > 1e6 {
             return refuse("t_s must be a finite time below a million seconds");
         }
@@ -415,14 +324,14 @@ fn check_waypoints(waypoints: &[Waypoint], repeat: bool) -> Result<(), ScriptErr
     let gap = (last.position - first.position).norm();
     if repeat && waypoints.len() < 2 {
         let rule = "repeat = true needs at least two way points";
-        return Err(ScriptError::Waypoint {
-            number: 1,
-            t_s: first.t_s,
-            rule,
-        });
+        return Err(bad_waypoint(1, first.t_s, rule));
     }
     if repeat && gap > REPEAT_GAP_MAX_M {
-        return Err(ScriptError::RepeatGap { gap_mm: gap * 1e3 });
+        return Err(ScriptError::new(format_args!(
+            "repeat = true, but the last way point is {} mm from the first; end the script where it \
+             begins",
+            gap * 1e3
+        )));
     }
     Ok(())
 }
@@ -431,7 +340,7 @@ fn check_waypoints(waypoints: &[Waypoint], repeat: bool) -> Result<(), ScriptErr
 mod tests {
     use nalgebra::Vector3;
 
-    use super::{Hand, Script, ScriptError, Tool, Waypoint};
+    use super::{Hand, Script, Tool, Waypoint};
 
     fn probe() -> Tool {
         Tool::probe(0.004)
@@ -452,7 +361,6 @@ mod tests {
             false,
         )
         .unwrap_err();
-        assert!(matches!(e, ScriptError::Waypoint { number: 3, .. }));
         assert!(e.to_string().starts_with("way point 3 (at 1 s)"), "{e}");
     }
 
@@ -461,25 +369,21 @@ mod tests {
         for x in [10.1, f64::NAN, f64::INFINITY] {
             let e =
                 Script::new(probe(), Hand::default(), waypoints(&[(0.0, x)]), false).unwrap_err();
-            assert!(
-                matches!(e, ScriptError::Waypoint { number: 1, .. }),
-                "{x}: {e}"
-            );
+            assert!(e.to_string().starts_with("way point 1"), "{x}: {e}");
         }
-        assert!(matches!(
-            Script::new(probe(), Hand::default(), vec![], false),
-            Err(ScriptError::NoWaypoint)
-        ));
+        let none = Script::new(probe(), Hand::default(), vec![], false).unwrap_err();
+        assert!(none.to_string().contains("no [[way]]"), "{none}");
     }
 
     #[test]
     fn a_repeated_script_ends_where_it_begins() {
         let open = waypoints(&[(0.0, 0.0), (1.0, 0.1)]);
         let shut = waypoints(&[(0.0, 0.0), (1.0, 0.1), (2.0, 0.0)]);
-        assert!(matches!(
-            Script::new(probe(), Hand::default(), open, true),
-            Err(ScriptError::RepeatGap { .. })
-        ));
+        let gap = Script::new(probe(), Hand::default(), open, true).unwrap_err();
+        assert!(
+            gap.to_string().contains("is 100 mm from the first"),
+            "{gap}"
+        );
         assert!(Script::new(probe(), Hand::default(), shut, true).is_ok());
     }
 

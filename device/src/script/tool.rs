@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::ScriptError;
+use super::bad_value;
+use crate::ScriptError;
 
 /// Default length of a blade's edge, mm: about that of a number 10 blade.
 const BLADE_LENGTH_MM: f64 = 20.0;
@@ -61,13 +62,7 @@ impl Tool {
 
     /// Checks the numbers against the kind.
     pub(super) fn check(&self) -> Result<(), ScriptError> {
-        let refuse = |key, value_m: f64, rule| {
-            Err(ScriptError::Value {
-                key,
-                value: value_m * 1e3,
-                rule,
-            })
-        };
+        let refuse = |key, value_m: f64, rule| Err(bad_value(key, value_m * 1e3, rule));
         if !(1e-4..=0.1).contains(&self.radius_m) {
             return refuse("tool.radius_mm", self.radius_m, "must be 0.1 to 100");
         }

@@ -28,6 +28,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod build;
+mod error;
 pub mod export;
 pub mod labels;
 pub mod sample;
@@ -35,11 +36,12 @@ pub mod scene;
 pub mod surface;
 
 pub use build::{
-    BUILD_NODES_MAX, BarReport, BuildError, BuildReport, CORNER_FLOOR, DISTANCE_REACH,
-    GRID_CELLS_MAX, Layer, LayerReport, Layers, NEIGHBOURS_MAX, Progress, QualityReport,
-    RegionReport, SPRING_FLOOR, SpacingReport, SpringCounts, SurfaceReport, THIN_PARTS_MAX,
-    ThinKind, ThinPart, ThinParts, build, region_surface, report_surface,
+    BUILD_NODES_MAX, BarReport, BuildReport, CORNER_FLOOR, DISTANCE_REACH, GRID_CELLS_MAX, Layer,
+    LayerReport, Layers, NEIGHBOURS_MAX, Progress, QualityReport, RegionReport, SPRING_FLOOR,
+    SpacingReport, SpringCounts, SurfaceReport, THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts,
+    build, region_surface,
 };
-pub use labels::{LabelError, LabelVolume};
-pub use scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion};
-pub use surface::{Aabb, CheckReport, Surface, SurfaceError, Unit};
+pub use error::InputError;
+pub use labels::LabelVolume;
+pub use scene::{RegionSource, Scene, SceneInput, SceneRegion};
+pub use surface::{Aabb, CheckReport, Surface, Unit};

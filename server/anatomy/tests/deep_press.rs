@@ -119,7 +119,7 @@ impl Press {
         let mut least = f64::MAX;
         for node in 0..self.topology.node_count() as u32 {
             let at = self.shape.position(&self.topology, node);
-            for spring in self.topology.springs().row(node) {
+            for spring in self.topology.springs_of(node) {
                 let rest = self.topology.rest(spring.to) - self.topology.rest(node);
                 let now = self.shape.position(&self.topology, spring.to) - at;
                 least = least.min(now.dot(&rest) / rest.norm_squared());

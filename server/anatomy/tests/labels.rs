@@ -7,12 +7,13 @@ mod label_files;
 use std::path::Path;
 
 use label_files::{Folder, Nifti, gzip, nrrd, ramp, space};
-use palpate_anatomy::labels::{LabelError, LabelVolume, VOXELS_MAX};
+use palpate_anatomy::InputError;
+use palpate_anatomy::labels::{LabelVolume, VOXELS_MAX};
 use palpate_anatomy::{Unit, labels};
 use palpate_tissue::Vec3;
 use proptest::prelude::*;
 
-fn read(name: &str, bytes: &[u8]) -> Result<LabelVolume, LabelError> {
+fn read(name: &str, bytes: &[u8]) -> Result<LabelVolume, InputError> {
     LabelVolume::read(&Folder::new().write(name, bytes))
 }
 

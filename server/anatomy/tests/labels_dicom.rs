@@ -6,7 +6,7 @@
 mod label_files;
 
 use label_files::Folder;
-use palpate_anatomy::LabelError;
+use palpate_anatomy::InputError;
 use palpate_anatomy::labels::LabelVolume;
 use palpate_tissue::Vec3;
 
@@ -109,7 +109,7 @@ impl Image {
     }
 }
 
-fn series(images: &[Image]) -> Result<LabelVolume, LabelError> {
+fn series(images: &[Image]) -> Result<LabelVolume, InputError> {
     let folder = Folder::new();
     folder.write("notes.txt", b"not an image");
     for (n, image) in images.iter().enumerate() {

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use palpate_anatomy::sample::Sample;
 use palpate_anatomy::scene::REGIONS_MAX;
-use palpate_anatomy::{RegionSource, Scene, SceneError, SceneInput, Unit};
+use palpate_anatomy::{InputError, RegionSource, Scene, SceneInput, Unit};
 use palpate_tissue::material::{MATERIAL_NAMES, MaterialOverride};
 use palpate_tissue::{FibreAxis, Material};
 use proptest::prelude::*;
@@ -39,7 +39,7 @@ friction_static = 0.4
 friction_dynamic = 0.3
 "#;
 
-fn parse(text: &str) -> Result<Scene, SceneError> {
+fn parse(text: &str) -> Result<Scene, InputError> {
     Scene::parse(text, Path::new("base"))
 }
 

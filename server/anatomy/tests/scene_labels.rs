@@ -8,9 +8,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use label_files::{Folder, Nifti};
-use palpate_anatomy::{
-    BuildReport, LayerReport, RegionSource, Scene, SceneInput, Surface, build, report_surface,
-};
+use palpate_anatomy::{BuildReport, LayerReport, RegionSource, Scene, SceneInput, Surface, build};
 use palpate_tissue::{Topology, Vec3};
 
 const THIGH: &str = r#"format = "palpate-scene/1"
@@ -166,7 +164,7 @@ fn built(folder: &Folder, text: &str) -> (SceneInput, BuildReport) {
     let input = SceneInput::load(&folder.write("scene.toml", text.as_bytes())).unwrap();
     let (model, report) = build(&input, &mut |_, _| {}).unwrap();
     let topology = Topology::new(model.into());
-    assert!(report_surface(topology.boundary()).closed);
+    assert!(topology.boundary().is_closed());
     assert!(report.outer_surface.closed && report.outer_surface.components == 1);
     (input, report)
 }

@@ -4,7 +4,7 @@
 
 use std::fmt::Write as _;
 
-use palpate_anatomy::{Surface, SurfaceError, Unit};
+use palpate_anatomy::{InputError, Surface, Unit};
 use proptest::prelude::*;
 
 const QUADS: [[i32; 4]; 6] = [
@@ -68,7 +68,7 @@ fn binary(big: bool) -> Vec<u8> {
     bytes
 }
 
-fn read(bytes: &[u8]) -> Result<Surface, SurfaceError> {
+fn read(bytes: &[u8]) -> Result<Surface, InputError> {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.ply");
     std::fs::write(&path, bytes).unwrap();

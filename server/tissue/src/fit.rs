@@ -16,13 +16,11 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::Vec3;
+use crate::cell::PAIRS;
 use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE};
 
 /// Springs of a cell: all pairs of its corners.
-pub(crate) const PAIRS: usize = 28;
-
-/// Ends of the springs of a cell.
-pub(crate) const ENDS: [[usize; 2]; PAIRS] = ends();
+const SPRINGS: usize = PAIRS.len();
 
 /// Bounds of a share, relative to the cube's.
 const BOUNDS: [f64; 2] = [0.3, 4.0];
@@ -32,21 +30,6 @@ const ROUNDS: usize = 4;
 const REGULAR: f64 = 1e-6;
 /// Deviation from a cube, in parts of its side, below which the shares are the cube's.
 const CUBE: f64 = 1e-6;
-
-const fn ends() -> [[usize; 2]; PAIRS] {
-    let mut list = [[0; 2]; PAIRS];
-    let (mut a, mut n) = (0, 0);
-    while a < 8 {
-        let mut b = a + 1;
-        while b < 8 {
-            list[n] = [a, b];
-            n += 1;
-            b += 1;
-        }
-        a += 1;
-    }
-    list
-}
 
 /// Share of the spring between two corners of a cube.
 pub(crate) const fn share(a: usize, b: usize) -> f64 {
@@ -59,13 +42,13 @@ pub(crate) const fn share(a: usize, b: usize) -> f64 {
 
 /// Shares of the springs of a cell with these corners. A spring shorter than `floor` counts as that
 /// long when its stiffness is computed, so it carries less than its share.
-pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; PAIRS] {
-    let plain = ENDS.map(|[a, b]| share(a, b));
+pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
+    let plain = PAIRS.map(|[a, b]| share(a, b));
     if is_cube(corners) {
         return plain;
     }
-    let mut columns = [[0.0; ROW]; PAIRS];
-    for (column, [a, b]) in columns.iter_mut().zip(ENDS) {
+    let mut columns = [[0.0; ROW]; SPRINGS];
+    for (column, [a, b]) in columns.iter_mut().zip(PAIRS) {
         let d = corners[b] - corners[a];
         let square = d.norm_squared();
         if square > 0.0 {
@@ -74,7 +57,7 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; PAIRS] {
         }
     }
     let mut shares = plain;
-    let mut free = [true; PAIRS];
+    let mut free = [true; SPRINGS];
     let mut normal = [[0.0; ROW]; ROW];
     for (column, share) in columns.iter().zip(plain) {
         add_square(&mut normal, column, share);
@@ -86,7 +69,7 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; PAIRS] {
         let missing = missing(&columns, &shares);
         let force = solved.solve(&SVector::from_row_slice(&missing[..COMPONENTS]));
         let mut bounded = false;
-        for s in 0..PAIRS {
+        for s in 0..SPRINGS {
             if !free[s] {
                 continue;
             }
@@ -165,7 +148,7 @@ const ISOTROPIC: Row = {
 };
 
 /// Isotropic tensor minus the tensor of these shares.
-fn missing(columns: &[Row; PAIRS], shares: &[f64; PAIRS]) -> Row {
+fn missing(columns: &[Row; SPRINGS], shares: &[f64; SPRINGS]) -> Row {
     let mut sum = ISOTROPIC;
     for (column, share) in columns.iter().zip(shares) {
         for (to, v) in sum.iter_mut().zip(column) {
@@ -197,8 +180,8 @@ mod tests {
     use proptest::prelude::*;
 
     /// Distance of the tensor of these shares from the isotropic one.
-    fn off(corners: &[Vec3; 8], shares: &[f64; PAIRS]) -> f64 {
-        let columns = ENDS.map(|[a, b]| powers(&(corners[b] - corners[a]).normalize()));
+    fn off(corners: &[Vec3; 8], shares: &[f64; SPRINGS]) -> f64 {
+        let columns = PAIRS.map(|[a, b]| powers(&(corners[b] - corners[a]).normalize()));
         missing(&columns, shares)
             .iter()
             .map(|v| v * v)
@@ -213,7 +196,7 @@ mod tests {
     #[test]
     fn cube_is_isotropic_with_its_own_shares() {
         let shares = shares(&cube(), 0.5);
-        assert_eq!(shares, ENDS.map(|[a, b]| share(a, b)));
+        assert_eq!(shares, PAIRS.map(|[a, b]| share(a, b)));
         assert!(off(&cube(), &shares) < 1e-12);
     }
 
@@ -223,7 +206,7 @@ mod tests {
         corners[7] += Vec3::new(0.1, -0.05, 0.1);
         corners[2] += Vec3::new(-0.1, 0.1, 0.05);
         let off = |s| off(&corners, s);
-        let plain = ENDS.map(|[a, b]| share(a, b));
+        let plain = PAIRS.map(|[a, b]| share(a, b));
         let fitted = shares(&corners, 0.1);
         assert!(
             off(&fitted) < 0.02 * off(&plain),
@@ -242,7 +225,7 @@ mod tests {
             for (c, corner) in corners.iter_mut().enumerate() {
                 *corner += Vec3::new(moves[3 * c], moves[3 * c + 1], moves[3 * c + 2]);
             }
-            let plain = ENDS.map(|[a, b]| share(a, b));
+            let plain = PAIRS.map(|[a, b]| share(a, b));
             let fitted = shares(&corners, 0.1);
             let off = |s| off(&corners, s);
             prop_assert!(off(&fitted) <= off(&plain) + 1e-9, "{} {}", off(&fitted), off(&plain));

@@ -49,6 +49,8 @@ pub mod file;
 mod fit;
 pub mod material;
 mod model;
+pub mod nearest;
+mod rows;
 mod shape;
 mod snapshot;
 pub mod springs;
@@ -65,8 +67,9 @@ pub use equilibrium::{
 pub use file::{FileError, ModelFile, decode_model, encode_model};
 pub use material::{FibreAxis, Material};
 pub use model::{Model, Region, RegionId};
+pub use rows::Rows;
 pub use shape::Shape;
-pub use snapshot::{SNAPSHOT_FORMAT, SnapshotError, model_hash, restore, snapshot};
+pub use snapshot::{SNAPSHOT_FORMAT, model_hash, restore, snapshot};
 pub use staged::{Staged, WriteError, write_file};
 pub use topology::{Boundary, FaceId, Topology, TopologyHash};
 
@@ -80,5 +83,4 @@ pub mod limits {
         BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M,
     };
     pub use crate::file::{CELLS_MAX, NODES_MAX, POSITION_MAX_M, REGIONS_MAX};
-    pub use crate::springs::SPRINGS_PER_NODE_MAX;
 }

@@ -164,61 +164,53 @@ pub(crate) const STRETCH_LIMIT_RANGE: [f64; 2] = [1.01, 100.0];
 /// Poisson's ratio of springs alone (`springs.rs`).
 const POISSON_OF_SPRINGS: f64 = 0.25;
 
-/// Default compression limit.
 const COMPRESS_LIMIT_DEFAULT: f64 = 0.3;
 
-/// Default stretch limit.
 const STRETCH_LIMIT_DEFAULT: f64 = 3.0;
 
 /// Default friction of a new material.
 const FRICTION_DEFAULT: [f64; 2] = [0.4, 0.3];
 
-/// The reason why a material was rejected.
+/// Why a material was rejected, with the remedy.
 #[derive(Debug, Clone, PartialEq, Error)]
-pub enum MaterialError {
-    /// Neither built in nor defined by the scene.
-    #[error(
-        "no material \"{name}\"{}; built in are {}; for one of your own add \
-         [material.{name}] with young_kpa and density_kg_m3",
-        nearest.as_ref().map(|n| format!(", did you mean \"{n}\"?")).unwrap_or_default(),
-        MATERIAL_NAMES.join(", ")
-    )]
-    Unknown {
-        /// The name asked for.
-        name: String,
-        /// The most similar known name.
-        nearest: Option<String>,
-    },
-    /// A new material with a missing key.
-    #[error(
-        "material \"{name}\" is not built in, so [material.{name}] must give {missing}; built \
-         in are {}",
-        MATERIAL_NAMES.join(", ")
-    )]
-    Incomplete {
-        /// The material.
-        name: String,
-        /// The key that is missing.
-        missing: &'static str,
-    },
-    /// A number out of range.
-    #[error("material \"{name}\": {key} = {value} must be {range}")]
-    OutOfRange {
-        /// The material.
-        name: String,
-        /// The key of the scene.
-        key: &'static str,
-        /// Its value.
-        value: f64,
-        /// The allowed values.
-        range: String,
-    },
-}
+#[error("{0}")]
+pub struct MaterialError(String);
 
 impl Material {
     /// A built-in material.
     pub fn built_in(name: &str) -> Option<Self> {
         library::built_in(name)
+    }
+
+    /// Its numbers, in the order in which files and hashes have them.
+    pub(crate) fn numbers(&self) -> [f64; 9] {
+        // Destructured, so that a new field of a material cannot be forgotten here.
+        let Self {
+            name: _,
+            young_pa,
+            poisson,
+            stiffening,
+            fibre_ratio,
+            fibre_axis: _,
+            compress_limit,
+            stretch_limit,
+            bottoms_out: _,
+            density_kg_m3,
+            friction_static,
+            friction_dynamic,
+            source: _,
+        } = *self;
+        [
+            young_pa,
+            poisson,
+            stiffening,
+            fibre_ratio,
+            compress_limit,
+            stretch_limit,
+            density_kg_m3,
+            friction_static,
+            friction_dynamic,
+        ]
     }
 
     /// A built-in material with the scene's changes, or a new one defined by the scene alone.
@@ -230,17 +222,23 @@ impl Material {
             }
             (None, None) => {
                 let nearest = nearest_name(name, MATERIAL_NAMES.iter().copied());
-                return Err(MaterialError::Unknown {
-                    name: name.to_owned(),
-                    nearest: nearest.map(str::to_owned),
-                });
+                let hint = nearest.map(|n| format!(", did you mean \"{n}\"?"));
+                return Err(MaterialError(format!(
+                    "no material \"{name}\"{}; built in are {}; for one of your own add \
+                     [material.{name}] with young_kpa and density_kg_m3",
+                    hint.unwrap_or_default(),
+                    MATERIAL_NAMES.join(", ")
+                )));
             }
             (None, Some(change)) => change,
         };
-        let need = |value: Option<f64>, missing| {
-            value.ok_or(MaterialError::Incomplete {
-                name: name.to_owned(),
-                missing,
+        let need = |value: Option<f64>, missing: &str| {
+            value.ok_or_else(|| {
+                MaterialError(format!(
+                    "material \"{name}\" is not built in, so [material.{name}] must give {missing}; \
+                     built in are {}",
+                    MATERIAL_NAMES.join(", ")
+                ))
             })
         };
         let plain = Self {
@@ -280,13 +278,10 @@ impl Material {
 
     /// This material, if every number is in range.
     fn checked(self) -> Result<Self, MaterialError> {
-        let bad = |key, value: f64, range: String| {
-            Err(MaterialError::OutOfRange {
-                name: self.name.clone(),
-                key,
-                value,
-                range,
-            })
+        let bad = |key: &str, value: f64, range: String| {
+            let name = &self.name;
+            let text = format!("material \"{name}\": {key} = {value} must be {range}");
+            Err(MaterialError(text))
         };
         for (key, value, [low, high], unit) in self.ranges() {
             // Written so that a NaN fails.

@@ -13,14 +13,14 @@
 //! shape      three columns of f64 bits of the displacements
 //! ```
 //!
-//! Springs, masses, volumes and triangles are functions of these and are derived again.
+//! Masses, volumes and triangles are functions of these and are derived again.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use crate::cell::{FACES, NO_CELL};
 use crate::cut::derive_around;
-use crate::file::{Content, EnvelopeError, Reader, Short, open, seal};
+use crate::file::{Content, FileError, Reader, open, seal};
 use crate::limits::NODES_MAX;
 use crate::{FaceId, Model, Shape, Topology, Vec3};
 
@@ -29,34 +29,6 @@ const MAGIC: [u8; 8] = *b"palpsnap";
 pub const SNAPSHOT_FORMAT: u32 = 1;
 /// Largest coordinate of a rest position or displacement, in m; a larger one means damage.
 const POSITION_MAX_M: f64 = 1e5;
-
-/// The reason why a snapshot cannot be restored.
-#[derive(Debug, thiserror::Error)]
-pub enum SnapshotError {
-    /// Not a snapshot, of another version, or damaged.
-    #[error("invalid snapshot: {0}")]
-    Envelope(#[from] EnvelopeError),
-    /// Of another model.
-    #[error(
-        "the snapshot was taken of model {found:016x}, and this is model {expected:016x}; restore it \
-         with the model file it belongs to"
-    )]
-    OtherModel {
-        /// Hash of the model it was taken of.
-        found: u64,
-        /// Hash of the model at hand.
-        expected: u64,
-    },
-    /// The content contradicts itself or the model.
-    #[error("inconsistent snapshot: it {0}; request another")]
-    Inconsistent(&'static str),
-}
-
-impl From<Short> for SnapshotError {
-    fn from(_: Short) -> Self {
-        Self::Inconsistent("ends before its declared content")
-    }
-}
 
 /// Identifies a model: equal hashes mean the same nodes, cells and materials, bit by bit. Names and sources of
 /// materials are not hashed.
@@ -68,20 +40,7 @@ pub fn model_hash(model: &Model) -> u64 {
     for region in &model.regions {
         let m = &region.material;
         hasher.update(&[u8::from(region.pinned) | (u8::from(m.bottoms_out) << 1)]);
-        for v in [
-            m.young_pa,
-            m.poisson,
-            m.stiffening,
-            m.fibre_ratio,
-            m.compress_limit,
-            m.stretch_limit,
-            m.density_kg_m3,
-            m.friction_static,
-            m.friction_dynamic,
-        ]
-        .into_iter()
-        .chain(region.fibre)
-        {
+        for v in m.numbers().into_iter().chain(region.fibre) {
             hasher.update(&v.to_bits().to_le_bytes());
         }
     }
@@ -154,25 +113,34 @@ pub fn snapshot(topology: &Topology, shape: &Shape) -> Vec<u8> {
 }
 
 /// Restores a snapshot onto the model it was taken of: topology and shape have the same hashes as at the time.
-pub fn restore(model: Arc<Model>, bytes: &[u8]) -> Result<(Topology, Shape), SnapshotError> {
-    let content = open(MAGIC, SNAPSHOT_FORMAT, bytes)?;
-    let mut reader = Reader(&content);
+pub fn restore(model: Arc<Model>, bytes: &[u8]) -> Result<(Topology, Shape), FileError> {
+    let content = open(MAGIC, SNAPSHOT_FORMAT, bytes)
+        .map_err(|defect| FileError(format!("invalid snapshot: {defect}")))?;
+    restore_content(model, &content).map_err(|defect| {
+        FileError(format!(
+            "inconsistent snapshot: it {defect}; request another"
+        ))
+    })
+}
+
+fn restore_content(model: Arc<Model>, content: &[u8]) -> Result<(Topology, Shape), String> {
+    let mut reader = Reader(content);
     let (found, expected) = (reader.u64()?, model_hash(&model));
     if found != expected {
-        return Err(SnapshotError::OtherModel { found, expected });
+        return Err(format!(
+            "was taken of model {found:016x}, and this is model {expected:016x}"
+        ));
     }
     let built = model.nodes.len();
     if reader.u32()? as usize != built || reader.u32()? as usize != model.cells.len() {
-        return Err(SnapshotError::Inconsistent(
-            "has other node or cell counts than the model",
-        ));
+        return Err("has other node or cell counts than the model".into());
     }
     let version = reader.u32()?;
     let nodes = reader.u32()? as usize;
     let rewired = reader.u32()? as usize;
     let opened = reader.u32()? as usize;
     if nodes < built || nodes > 2 * NODES_MAX || rewired > model.cells.len() {
-        return Err(SnapshotError::Inconsistent("declares counts out of range"));
+        return Err("declares counts out of range".into());
     }
     let mut topology = Topology::new(model);
     let mut changed = rewire(&mut topology, &mut reader, nodes, rewired)?;
@@ -182,7 +150,7 @@ pub fn restore(model: Arc<Model>, bytes: &[u8]) -> Result<(Topology, Shape), Sna
     read_rest(&mut topology, &mut reader, &mut changed)?;
     let displacement = read_points(&mut reader, nodes, |_| Vec3::zeros())?;
     if !reader.0.is_empty() {
-        return Err(SnapshotError::Inconsistent("is followed by more"));
+        return Err("is followed by more".into());
     }
     reopen(&mut topology, &faces, diagonals)?;
     derive_around(&mut topology, &changed);
@@ -196,7 +164,7 @@ fn rewire(
     reader: &mut Reader<'_>,
     nodes: usize,
     rewired: usize,
-) -> Result<BTreeSet<u32>, SnapshotError> {
+) -> Result<BTreeSet<u32>, String> {
     let cells = reader.steps32(rewired)?;
     let mut corners = Vec::with_capacity(8);
     for _ in 0..8 {
@@ -206,15 +174,11 @@ fn rewire(
     let mut changed = BTreeSet::new();
     for (i, &cell) in cells.iter().enumerate() {
         if cell as usize >= topology.cell_count() {
-            return Err(SnapshotError::Inconsistent(
-                "rewires a cell that does not exist",
-            ));
+            return Err("rewires a cell that does not exist".into());
         }
         for (c, column) in corners.iter().enumerate() {
             if column[i] as usize >= nodes {
-                return Err(SnapshotError::Inconsistent(
-                    "wires a cell to a node that does not exist",
-                ));
+                return Err("wires a cell to a node that does not exist".into());
             }
             changed.insert(topology.corners[cell as usize][c]);
             changed.insert(column[i]);
@@ -230,13 +194,13 @@ fn rewire(
         for (slot, &node) in corners.iter().enumerate() {
             let place = &mut topology.node_cells[node as usize][slot];
             if *place != NO_CELL {
-                return Err(SnapshotError::Inconsistent("has two cells in one position"));
+                return Err("has two cells in one position".into());
             }
             *place = cell as u32;
         }
     }
     if topology.node_cells.contains(&[NO_CELL; 8]) {
-        return Err(SnapshotError::Inconsistent("has a node without a cell"));
+        return Err("has a node without a cell".into());
     }
     for &cell in &cells {
         check_faces(topology, cell)?;
@@ -245,33 +209,27 @@ fn rewire(
 }
 
 /// Faces are cut from both sides or none, and uncut neighbours share their nodes.
-fn check_faces(topology: &Topology, cell: u32) -> Result<(), SnapshotError> {
+fn check_faces(topology: &Topology, cell: u32) -> Result<(), String> {
     if topology.cut[cell as usize] >> 6 != 0 {
-        return Err(SnapshotError::Inconsistent(
-            "cuts a face that does not exist",
-        ));
+        return Err("cuts a face that does not exist".into());
     }
     for (face, corners) in FACES.iter().enumerate() {
         let id = FaceId::new(cell, face);
         let cut = topology.cut[cell as usize] >> face & 1;
         if topology.model.cells[cell as usize].neighbours[face] == NO_CELL {
             if cut == 1 {
-                return Err(SnapshotError::Inconsistent("cuts a face on the outside"));
+                return Err("cuts a face on the outside".into());
             }
             continue;
         }
         let behind = topology.behind(id);
         if topology.cut[behind.cell() as usize] >> behind.face() & 1 != cut {
-            return Err(SnapshotError::Inconsistent(
-                "cuts a face from one side only",
-            ));
+            return Err("cuts a face from one side only".into());
         }
         let across = 1 << (face / 2);
         let [near, far] = [cell, behind.cell()].map(|c| topology.corners(c));
         if cut == 0 && corners.iter().any(|&c| near[c] != far[c ^ across]) {
-            return Err(SnapshotError::Inconsistent(
-                "separates cells that are not cut apart",
-            ));
+            return Err("separates cells that are not cut apart".into());
         }
     }
     Ok(())
@@ -281,7 +239,7 @@ fn read_rest(
     topology: &mut Topology,
     reader: &mut Reader<'_>,
     changed: &mut BTreeSet<u32>,
-) -> Result<(), SnapshotError> {
+) -> Result<(), String> {
     let rest = read_points(reader, topology.node_count(), |n| topology.original(n))?;
     for (node, p) in rest.iter().enumerate() {
         if *p != topology.rest[node] {
@@ -296,7 +254,7 @@ fn read_points(
     reader: &mut Reader<'_>,
     count: usize,
     from: impl Fn(u32) -> Vec3,
-) -> Result<Vec<Vec3>, SnapshotError> {
+) -> Result<Vec<Vec3>, String> {
     let (x, y, z) = (
         reader.plane64(count)?,
         reader.plane64(count)?,
@@ -312,16 +270,14 @@ fn read_points(
             if p.iter().all(|v| v.abs() <= POSITION_MAX_M) {
                 Ok(p)
             } else {
-                Err(SnapshotError::Inconsistent(
-                    "has a node position out of range",
-                ))
+                Err("has a node position out of range".into())
             }
         })
         .collect()
 }
 
 /// Splits the surface as before, with the opened faces in their order.
-fn reopen(topology: &mut Topology, faces: &[u32], diagonals: &[u8]) -> Result<(), SnapshotError> {
+fn reopen(topology: &mut Topology, faces: &[u32], diagonals: &[u8]) -> Result<(), String> {
     let bits: u32 = topology.cut.iter().map(|c| c.count_ones()).sum();
     for &face in faces {
         let id = FaceId(face);
@@ -329,14 +285,12 @@ fn reopen(topology: &mut Topology, faces: &[u32], diagonals: &[u8]) -> Result<()
         let position = topology.boundary.faces.len() as u32;
         let first = topology.cut_index.opened.insert(id, position).is_none();
         if cut.is_none_or(|bits| bits >> id.face() & 1 == 0) || !first {
-            return Err(SnapshotError::Inconsistent(
-                "lists an opened face that is not cut",
-            ));
+            return Err("lists an opened face that is not cut".into());
         }
         topology.boundary.faces.push(id);
     }
     if bits as usize != faces.len() {
-        return Err(SnapshotError::Inconsistent("leaves out a face that is cut"));
+        return Err("leaves out a face that is cut".into());
     }
     topology.boundary.triangles = topology
         .boundary

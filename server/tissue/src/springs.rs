@@ -29,8 +29,9 @@
 //! (`equilibrium/law.rs`) the springs carry the shear modulus alone, and at Poisson's ratio 1/4 that is Young's
 //! modulus.
 //!
-//! The rows here have these shares regardless of the shape of the cell. They are the springs of the seed's
-//! iteration (3.10), and the stiffness of a node is taken from them. The equilibrium computes forces per cell,
+//! The springs here ([`Topology::springs_of`](crate::Topology::springs_of)) have these shares regardless of the
+//! shape of the cell. They are the springs of the seed's iteration (3.10), and the stiffness of a node is taken from
+//! them. The equilibrium computes forces per cell,
 //! with shares that make a distorted cell isotropic again (`fit.rs`).
 
 /// One spring as seen from one of its ends.
@@ -40,13 +41,7 @@ pub struct Spring {
     pub to: u32,
     /// Stiffness k in N/m.
     pub stiffness: f32,
-    /// Rest length l0 in m.
-    pub rest_length: f32,
 }
-
-/// Most springs one node can have: each of its eight cells brings three edges and four diagonals,
-/// and across a cut no two of them need share their far end.
-pub const SPRINGS_PER_NODE_MAX: usize = 56;
 
 /// Share of Young's modulus that an edge spring carries; see the module docs.
 pub(crate) const EDGE_SHARE: f64 = 0.14;
@@ -57,96 +52,3 @@ pub(crate) const BODY_SHARE: f64 = 0.36;
 /// A spring shorter than this part of the spacing counts as this long when its stiffness is computed, so that
 /// one bad corner cannot make the whole system stiff.
 pub(crate) const LENGTH_FLOOR: f64 = 0.5;
-
-/// All springs, as one row per node; each spring is in the rows of both its ends.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Springs {
-    rows: Vec<Row>,
-    entries: Vec<Spring>,
-    /// Unused entries, after rows were replaced.
-    garbage: usize,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Row {
-    start: u32,
-    len: u16,
-    room: u16,
-}
-
-impl Springs {
-    /// An empty table with room for `nodes` rows.
-    pub(crate) fn with_capacity(nodes: usize) -> Self {
-        Self {
-            rows: Vec::with_capacity(nodes),
-            entries: Vec::with_capacity(nodes * 26),
-            garbage: 0,
-        }
-    }
-
-    /// The springs of one node, in a fixed order that depends on the topology alone.
-    pub fn row(&self, node: u32) -> &[Spring] {
-        let row = self.rows[node as usize];
-        &self.entries[row.start as usize..row.start as usize + row.len as usize]
-    }
-
-    /// Number of rows.
-    pub fn len(&self) -> usize {
-        self.rows.len()
-    }
-
-    /// Whether there are no rows.
-    pub fn is_empty(&self) -> bool {
-        self.rows.is_empty()
-    }
-
-    /// Number of springs, each counted once.
-    pub fn count(&self) -> usize {
-        self.rows.iter().map(|r| r.len as usize).sum::<usize>() / 2
-    }
-
-    /// Replaces a node's row, or appends the row of the next node.
-    pub(crate) fn set_row(&mut self, node: u32, springs: &[Spring]) {
-        let index = node as usize;
-        assert!(index <= self.rows.len(), "rows are added in order");
-        if let Some(row) = self.rows.get_mut(index) {
-            if springs.len() <= row.room as usize {
-                let start = row.start as usize;
-                self.entries[start..start + springs.len()].copy_from_slice(springs);
-                row.len = springs.len() as u16;
-                return;
-            }
-            self.garbage += row.room as usize;
-        }
-        let row = Row {
-            start: self.entries.len() as u32,
-            len: springs.len() as u16,
-            room: springs.len() as u16,
-        };
-        self.entries.extend_from_slice(springs);
-        if index == self.rows.len() {
-            self.rows.push(row);
-        } else {
-            self.rows[index] = row;
-        }
-        if self.garbage > self.entries.len() / 2 {
-            self.compact();
-        }
-    }
-
-    fn compact(&mut self) {
-        let mut entries = Vec::with_capacity(self.entries.len() - self.garbage);
-        for row in &mut self.rows {
-            let start = entries.len() as u32;
-            let old = row.start as usize;
-            entries.extend_from_slice(&self.entries[old..old + row.len as usize]);
-            *row = Row {
-                start,
-                len: row.len,
-                room: row.len,
-            };
-        }
-        self.entries = entries;
-        self.garbage = 0;
-    }
-}

@@ -2,7 +2,8 @@
 //!
 //! A cut separates cells along shared faces and doubles the nodes between them; the number of cells is
 //! constant. So the topology is a rest position per node, eight corners per cell, and a mask of cut faces per
-//! cell. Springs, masses and the outer surface are derived from these, and updated only around changed nodes.
+//! cell. Masses and the outer surface are derived from these, and updated only around changed nodes; springs are
+//! derived when asked for.
 
 use std::sync::Arc;
 
@@ -10,8 +11,7 @@ use rayon::prelude::*;
 
 use crate::cell::{FACES, NO_CELL, cell_volume};
 use crate::equilibrium::Elastic;
-use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR};
-use crate::springs::{Spring, Springs};
+use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR, Spring};
 use crate::{Model, RegionId, Vec3};
 
 /// Identifies a topology: equal hashes mean the same cells, wired alike, at the same rest
@@ -118,7 +118,6 @@ pub struct Topology {
     pub(crate) cell_volume: Vec<f64>,
     /// Volume of each cell as it was built; its mass follows from it, so that no cut changes the mass.
     built_volume: Vec<f64>,
-    pub(crate) springs: Springs,
     pub(crate) mass: Vec<f64>,
     pub(crate) pinned: Vec<bool>,
     pub(crate) boundary: Boundary,
@@ -148,20 +147,14 @@ impl Topology {
             node_cells,
             built_volume: cell_volume.clone(),
             cell_volume,
-            springs: Springs::with_capacity(nodes),
             mass: vec![0.0; nodes],
             pinned: vec![false; nodes],
             boundary: Boundary::default(),
             cut_index: crate::cut::CutIndex::default(),
             model,
         };
-        let rows: Vec<_> = (0..nodes as u32)
-            .into_par_iter()
-            .map(|n| topology.springs_of(n))
-            .collect();
-        for (node, row) in rows.iter().enumerate() {
-            topology.springs.set_row(node as u32, row);
-            topology.derive_node(node as u32);
+        for node in 0..nodes as u32 {
+            topology.derive_node(node);
         }
         topology.derive_boundary();
         topology
@@ -222,11 +215,6 @@ impl Topology {
         }
     }
 
-    /// All springs.
-    pub fn springs(&self) -> &Springs {
-        &self.springs
-    }
-
     /// Mass of a node in kg: an eighth of each of its cells.
     pub fn mass(&self, node: u32) -> f64 {
         self.mass[node as usize]
@@ -280,8 +268,8 @@ impl Topology {
         self.pinned[node as usize] = pinned;
     }
 
-    /// The row of springs of a node, from the cells around it, sorted by their far end.
-    pub(crate) fn springs_of(&self, node: u32) -> Vec<Spring> {
+    /// The springs of a node, from the cells around it, sorted by their far end.
+    pub fn springs_of(&self, node: u32) -> Vec<Spring> {
         let mut sums: Vec<(u32, f64)> = Vec::with_capacity(32);
         let from = self.rest(node);
         let floor = LENGTH_FLOOR * self.model.spacing_m;
@@ -313,7 +301,6 @@ impl Topology {
             .map(|(to, stiffness)| Spring {
                 to,
                 stiffness: stiffness as f32,
-                rest_length: (self.rest(to) - from).norm() as f32,
             })
             .collect()
     }

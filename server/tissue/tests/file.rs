@@ -5,8 +5,8 @@
 use std::io::{Read, Write};
 use std::sync::Arc;
 
-use palpate_tissue::file::{EnvelopeError, MODEL_FORMAT};
-use palpate_tissue::{FibreAxis, FileError, Material, Model, ModelFile, Topology, Vec3, block};
+use palpate_tissue::file::MODEL_FORMAT;
+use palpate_tissue::{FibreAxis, Material, Model, ModelFile, Topology, Vec3, block};
 use proptest::prelude::*;
 
 fn rubber() -> Material {
@@ -84,28 +84,22 @@ fn missing_folder_is_named() {
 #[test]
 fn each_kind_of_damage_has_its_own_error() {
     let good = file().encode();
-    let kind = |bytes: &[u8]| match ModelFile::decode(bytes).unwrap_err() {
-        FileError::Envelope(e) => e,
-        other => panic!("{other}"),
-    };
-    assert_eq!(kind(b"solid thigh"), EnvelopeError::WrongKind);
-    assert_eq!(kind(b""), EnvelopeError::WrongKind);
+    let text = |bytes: &[u8]| ModelFile::decode(bytes).unwrap_err().to_string();
+    assert!(text(b"solid thigh").contains("wrong file type"));
+    assert!(text(b"").contains("wrong file type"));
     let mut newer = good.clone();
-    for found in [1, 9] {
-        newer[8] = found as u8;
-        let reads = MODEL_FORMAT;
-        assert_eq!(kind(&newer), EnvelopeError::Version { found, reads });
-        let word = if found < reads { "older" } else { "newer" };
-        assert!(kind(&newer).to_string().contains(word));
+    for (found, word) in [(1, "older"), (9, "newer")] {
+        newer[8] = found;
+        let expected = format!("version {found}, {word} than version {MODEL_FORMAT}");
+        assert!(text(&newer).contains(&expected), "{}", text(&newer));
     }
-    assert!(matches!(
-        kind(&good[..good.len() - 1]),
-        EnvelopeError::Length { .. }
-    ));
-    assert!(matches!(kind(&good[..20]), EnvelopeError::Length { .. }));
+    for short in [&good[..good.len() - 1], &good[..20]] {
+        let expected = format!("{} bytes instead of", short.len());
+        assert!(text(short).contains(&expected), "{}", text(short));
+    }
     let mut flipped = good.clone();
     *flipped.last_mut().unwrap() ^= 1;
-    assert_eq!(kind(&flipped), EnvelopeError::Checksum);
+    assert!(text(&flipped).contains("checksum mismatch"));
 }
 
 #[test]

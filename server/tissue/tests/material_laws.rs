@@ -5,7 +5,6 @@
 
 use std::sync::Arc;
 
-use palpate_tissue::springs::Spring;
 use palpate_tissue::{
     Budget, FibreAxis, Material, Model, Shape, Solver, Tool, Topology, Vec3, block,
 };
@@ -73,8 +72,8 @@ fn confined_work(topology: &Topology, strain: f64) -> f64 {
 fn closed_work(topology: &Topology, strain: f64, stiffening: f64) -> f64 {
     let mut work = 0.0;
     for node in 0..topology.node_count() as u32 {
-        let later = |s: &&Spring| s.to > node;
-        for spring in topology.springs().row(node).iter().filter(later) {
+        let springs = topology.springs_of(node);
+        for spring in springs.iter().filter(|s| s.to > node) {
             let rest = topology.rest(spring.to) - topology.rest(node);
             let now = rest + Vec3::z() * (strain * rest.z);
             let own = now.norm() / rest.norm() - 1.0;

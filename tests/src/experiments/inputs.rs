@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use palpate_device::backend::replay::{Motion, MotionError};
+use palpate_device::backend::replay::Motion;
 use palpate_tissue::Model;
 use serde_json::Value;
 
@@ -62,10 +62,7 @@ impl Inputs {
         let profile = recipe.profile.as_deref().map(Profile::parse);
         let profile = profile.transpose()?;
         let motion = recipe.motion.as_ref().map(|file| {
-            let motion = Motion::load(Path::new(file)).map_err(|e| match e {
-                MotionError::Read { .. } | MotionError::TooLarge { .. } => e.to_string(),
-                content => format!("{file}: {content}"),
-            });
+            let motion = Motion::load(Path::new(file)).map_err(|e| format!("{file}: {e}"));
             motion.map(Arc::new)
         });
         let motion = motion.transpose()?;

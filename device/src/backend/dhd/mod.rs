@@ -18,10 +18,10 @@ mod sys;
 use std::path::Path;
 
 pub use device::Dhd;
-pub use error::DhdError;
 
 use self::sys::Api;
 use super::found::{Found, choose};
+use crate::OpenError;
 
 /// Remedy when no device is found.
 const HINT: &str = "look at its cable and power, and see that you may use USB devices (the SDK's manual has a udev rule)";
@@ -30,15 +30,11 @@ const HINT: &str = "look at its cable and power, and see that you may use USB de
 /// another program is listed by its number.
 ///
 /// `library` is the file to load; without one the system's search path applies.
-///
-/// # Errors
-///
-/// When the library is missing or unusable.
-pub fn find(library: Option<&Path>) -> Result<Vec<Found>, DhdError> {
+pub fn find(library: Option<&Path>) -> Result<Vec<Found>, OpenError> {
     list(&Api::load(library)?)
 }
 
-fn list(api: &Api) -> Result<Vec<Found>, DhdError> {
+fn list(api: &Api) -> Result<Vec<Found>, OpenError> {
     let count = api
         .count()
         .map_err(|code| refused(api, "count devices", code))?;
@@ -63,11 +59,7 @@ fn name_of(api: &Api, index: usize) -> Found {
 }
 
 /// Opens the device with this id, or the only one.
-///
-/// # Errors
-///
-/// When the library is missing or unusable, none or several devices are plugged in, or the device does not open.
-pub fn open(library: Option<&Path>, which: Option<&str>) -> Result<Dhd, DhdError> {
+pub fn open(library: Option<&Path>, which: Option<&str>) -> Result<Dhd, OpenError> {
     let api = Api::load(library)?;
     let found = list(&api)?;
     let index = choose("dhd", HINT, &found, which)?;
@@ -76,10 +68,10 @@ pub fn open(library: Option<&Path>, which: Option<&str>) -> Result<Dhd, DhdError
     Ok(Dhd::new(api))
 }
 
-fn refused(api: &Api, what: &'static str, code: error::Code) -> DhdError {
-    DhdError::Refused {
-        what,
-        words: api.last_words(),
-        code: code.0,
-    }
+fn refused(api: &Api, what: &str, error::Code(code): error::Code) -> OpenError {
+    let words = api.last_words();
+    OpenError::new(format_args!(
+        "the maker's library failed to {what}: {words} (its code {code}); look at cable and power, close \
+         other programs that use the device, and see that you may use USB devices"
+    ))
 }

@@ -10,9 +10,9 @@ use std::path::Path;
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::Code;
-use crate::Wrench;
-use crate::backend::library::sys::text;
-use crate::backend::library::{Library, LibraryError, Wanted};
+use crate::backend::library::sys::{functions, text};
+use crate::backend::library::{Library, Wanted};
+use crate::{OpenError, Wrench};
 
 /// The library's names on this system, and how to install it.
 const WANTED: Wanted = Wanted {
@@ -35,67 +35,33 @@ type Int = unsafe extern "system" fn(c_int) -> c_int;
 type Bool = unsafe extern "system" fn(c_int) -> bool;
 type Three = unsafe extern "system" fn(*mut f64, *mut f64, *mut f64, c_int) -> c_int;
 
-/// The used functions, and the library that contains them.
-#[derive(Debug)]
-pub(super) struct Api {
-    count: unsafe extern "system" fn() -> c_int,
-    open: Int,
-    close: Int,
-    system_type: Int,
-    system_name: unsafe extern "system" fn(c_int) -> *const c_char,
-    serial: unsafe extern "system" fn(*mut c_uint, c_int) -> c_int,
-    last_error: unsafe extern "system" fn() -> c_int,
-    last_words: unsafe extern "system" fn() -> *const c_char,
-    position: Three,
-    velocity: Three,
-    turn: unsafe extern "system" fn(*mut [[f64; 3]; 3], c_int) -> c_int,
-    turning: Three,
-    buttons: unsafe extern "system" fn(c_int) -> c_uint,
-    has_wrist: Bool,
-    has_gripper: Bool,
-    gripper: unsafe extern "system" fn(*mut f64, c_int) -> c_int,
-    force: unsafe extern "system" fn(f64, f64, f64, f64, f64, f64, f64, c_int) -> c_int,
-    enable: unsafe extern "system" fn(u8, c_int) -> c_int,
-    is_initialised: Bool,
-    initialise: Int,
-    stop: unsafe extern "system" fn(bool, c_int) -> c_int,
-    // The last field: the fields above point into it.
-    _library: Library,
+functions! {
+    WANTED;
+    count: unsafe extern "system" fn() -> c_int = "dhdGetDeviceCount",
+    open: Int = "drdOpenID",
+    close: Int = "drdClose",
+    system_type: Int = "dhdGetSystemType",
+    system_name: unsafe extern "system" fn(c_int) -> *const c_char = "dhdGetSystemName",
+    serial: unsafe extern "system" fn(*mut c_uint, c_int) -> c_int = "dhdGetSerialNumber",
+    last_error: unsafe extern "system" fn() -> c_int = "dhdErrorGetLast",
+    last_words: unsafe extern "system" fn() -> *const c_char = "dhdErrorGetLastStr",
+    position: Three = "dhdGetPosition",
+    velocity: Three = "dhdGetLinearVelocity",
+    turn: unsafe extern "system" fn(*mut [[f64; 3]; 3], c_int) -> c_int = "dhdGetOrientationFrame",
+    turning: Three = "dhdGetAngularVelocityRad",
+    buttons: unsafe extern "system" fn(c_int) -> c_uint = "dhdGetButtonMask",
+    has_wrist: Bool = "dhdHasWrist",
+    has_gripper: Bool = "dhdHasGripper",
+    gripper: unsafe extern "system" fn(*mut f64, c_int) -> c_int = "dhdGetGripperAngleRad",
+    force: unsafe extern "system" fn(f64, f64, f64, f64, f64, f64, f64, c_int) -> c_int
+        = "dhdSetForceAndTorqueAndGripperForce",
+    enable: unsafe extern "system" fn(u8, c_int) -> c_int = "dhdEnableForce",
+    is_initialised: Bool = "drdIsInitialized",
+    initialise: Int = "drdAutoInit",
+    stop: unsafe extern "system" fn(bool, c_int) -> c_int = "drdStop",
 }
 
 impl Api {
-    /// Loads the library and resolves all functions.
-    pub(super) fn load(file: Option<&Path>) -> Result<Self, LibraryError> {
-        let library = WANTED.load(file)?;
-        // SAFETY: every type is that of the function in the public headers, and the library lives as long as `Self`.
-        unsafe {
-            Ok(Self {
-                count: library.function("dhdGetDeviceCount")?,
-                open: library.function("drdOpenID")?,
-                close: library.function("drdClose")?,
-                system_type: library.function("dhdGetSystemType")?,
-                system_name: library.function("dhdGetSystemName")?,
-                serial: library.function("dhdGetSerialNumber")?,
-                last_error: library.function("dhdErrorGetLast")?,
-                last_words: library.function("dhdErrorGetLastStr")?,
-                position: library.function("dhdGetPosition")?,
-                velocity: library.function("dhdGetLinearVelocity")?,
-                turn: library.function("dhdGetOrientationFrame")?,
-                turning: library.function("dhdGetAngularVelocityRad")?,
-                buttons: library.function("dhdGetButtonMask")?,
-                has_wrist: library.function("dhdHasWrist")?,
-                has_gripper: library.function("dhdHasGripper")?,
-                gripper: library.function("dhdGetGripperAngleRad")?,
-                force: library.function("dhdSetForceAndTorqueAndGripperForce")?,
-                enable: library.function("dhdEnableForce")?,
-                is_initialised: library.function("drdIsInitialized")?,
-                initialise: library.function("drdAutoInit")?,
-                stop: library.function("drdStop")?,
-                _library: library,
-            })
-        }
-    }
-
     /// Negative results are errors. Positive ones are not: 1 marks the same value within a control period, 2 a
     /// saturated motor.
     fn checked(&self, returned: c_int) -> Result<c_int, Code> {
@@ -126,7 +92,6 @@ impl Api {
             .map(|_| ())
     }
 
-    /// Closes it.
     pub(super) fn close(&self) {
         // SAFETY: takes a number. The result no longer matters.
         let _ = unsafe { (self.close)(LAST) };
@@ -138,7 +103,6 @@ impl Api {
         unsafe { (self.system_type)(LAST) }
     }
 
-    /// The device's name.
     pub(super) fn name(&self) -> String {
         // SAFETY: takes a number and returns a text of the library's own, or null.
         unsafe { text((self.system_name)(LAST)) }
@@ -195,7 +159,6 @@ impl Api {
         unsafe { (self.has_wrist)(LAST) }
     }
 
-    /// Whether it has a gripper.
     pub(super) fn has_gripper(&self) -> bool {
         // SAFETY: takes a number.
         unsafe { (self.has_gripper)(LAST) }

@@ -3,7 +3,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::arm::Angles;
-use super::linkage::{Linkage, OutOfReach};
+use super::linkage::Linkage;
 use super::map::Middle;
 use super::port::{Port, PortFault, Six};
 use super::rates::Rate;
@@ -11,8 +11,8 @@ use super::signals::{Drive, Encoder};
 use super::statics::{Torques, torques};
 use crate::motors::Motors;
 use crate::{
-    Calibration, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Pose,
-    Rejection, Sample, Wrench, Written,
+    Calibration, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, OpenError,
+    Pose, Rejection, Sample, Wrench, Written,
 };
 
 /// Tolerance of the distance between the two ends against the probe's length, m. Six readings give five independent
@@ -54,11 +54,7 @@ pub struct FiveDof<P: Port> {
 impl<P: Port> FiveDof<P> {
     /// The device behind these boards. Its workspace is the largest cube around the middle of its reach in which the
     /// probe may be tilted by [`TILT_RAD`](super::map::TILT_RAD) without coming close to a singular posture.
-    ///
-    /// # Errors
-    ///
-    /// When the arms of this linkage can not hold the probe at any position.
-    pub fn open(port: P, config: Config) -> Result<Self, OutOfReach> {
+    pub fn open(port: P, config: Config) -> Result<Self, OpenError> {
         let middle = Middle::of(&config.linkage)?;
         let caps = DeviceCaps {
             name: "5-DOF device".to_owned(),

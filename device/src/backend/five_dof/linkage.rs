@@ -1,9 +1,9 @@
 //! Both arms and the probe between their ends (equations 4.7 and 4.8).
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
-use thiserror::Error;
 
 use super::arm::{Angles, Arm, Side};
+use crate::OpenError;
 
 /// The probe: its middle and its direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,23 +24,6 @@ impl Probe {
         UnitQuaternion::rotation_between(&Vector3::y_axis(), &self.axis).unwrap_or_else(|| {
             UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
         })
-    }
-}
-
-/// A position out of an arm's reach.
-#[derive(Debug, Clone, Copy, PartialEq, Error)]
-#[error("the {} arm can not reach ({:.1}, {:.1}, {:.1}) mm", name(*.side), .end.x * 1e3, .end.y * 1e3, .end.z * 1e3)]
-pub struct OutOfReach {
-    /// Which arm.
-    pub side: Side,
-    /// The requested position of its end, m.
-    pub end: Vector3<f64>,
-}
-
-fn name(side: Side) -> &'static str {
-    match side {
-        Side::Left => "left",
-        Side::Right => "right",
     }
 }
 
@@ -92,11 +75,19 @@ impl Linkage {
         &self,
         pivot: &Vector3<f64>,
         axis: &Unit<Vector3<f64>>,
-    ) -> Result<[Angles; 2], OutOfReach> {
+    ) -> Result<[Angles; 2], OpenError> {
         let half = axis.into_inner() * (0.5 * self.probe_m);
         let of = |arm: &Arm, end: Vector3<f64>| {
-            let side = arm.side;
-            arm.angles(&end).ok_or(OutOfReach { side, end })
+            arm.angles(&end).ok_or_else(|| {
+                let side = match arm.side {
+                    Side::Left => "left",
+                    Side::Right => "right",
+                };
+                let [x, y, z]: [f64; 3] = (end * 1e3).into();
+                OpenError::new(format_args!(
+                    "the {side} arm can not reach ({x:.1}, {y:.1}, {z:.1}) mm"
+                ))
+            })
         };
         Ok([
             of(&self.arms[0], pivot + half)?,

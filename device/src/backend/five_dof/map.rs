@@ -3,8 +3,8 @@
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 
 use super::arm::Angles;
-use super::linkage::{Linkage, OutOfReach};
-use crate::Workspace;
+use super::linkage::Linkage;
+use crate::{OpenError, Workspace};
 
 /// How far the probe may be tilted out of y everywhere in the workspace, rad.
 pub const TILT_RAD: f64 = 0.52;
@@ -26,11 +26,7 @@ pub struct Middle {
 
 impl Middle {
     /// The posture with upper links hanging down and lower links level, or nearly so where the arms differ.
-    ///
-    /// # Errors
-    ///
-    /// When an arm can not reach it.
-    pub fn of(linkage: &Linkage) -> Result<Self, OutOfReach> {
+    pub fn of(linkage: &Linkage) -> Result<Self, OpenError> {
         // Each end turns in from its own axis; the pivot is in the middle of the two.
         let [left, right] = &linkage.arms;
         let half = 0.5 * linkage.probe_m;

@@ -27,10 +27,10 @@ mod tests;
 
 pub use arm::{Angles, Arm, Side};
 pub use device::{Config, FiveDof, PROBE_TOLERANCE_M};
-pub use linkage::{Linkage, OutOfReach, Probe};
+pub use linkage::{Linkage, Probe};
 pub use map::{Middle, TILT_RAD, manipulability};
 pub use port::{Port, PortFault, Six};
 pub use rig::{Rig, RigConfig};
 pub use signals::{Drive, Encoder};
-pub use simulated::{Unsuited, invented, simulated};
+pub use simulated::{invented, simulated};
 pub use statics::{SINGULAR, Torques, end_forces, torques};

@@ -15,12 +15,12 @@ use nalgebra::{SMatrix, SVector, Vector3};
 
 use super::arm::Angles;
 use super::device::Config;
-use super::linkage::{Linkage, OutOfReach};
+use super::linkage::Linkage;
 use super::port::{Port, PortFault, Six};
 use super::signals::{Drive, Encoder};
 use super::statics::end_forces;
 use crate::backend::sim::{ScriptStart, Tremor};
-use crate::{Buttons, DeviceTime, Script, Wrench};
+use crate::{Buttons, DeviceTime, OpenError, Script, Wrench};
 
 /// The sub-step, µs.
 const SUB_STEP_US: i64 = 250;
@@ -80,16 +80,12 @@ pub struct Rig {
 
 impl Rig {
     /// A device of these parts, held by the hand of a script in the device's own frame. It is calibrated.
-    ///
-    /// # Errors
-    ///
-    /// When the script begins out of the arms' reach.
     pub fn new(
         device: &Config,
         config: RigConfig,
         script: Script,
         start: ScriptStart,
-    ) -> Result<Self, OutOfReach> {
+    ) -> Result<Self, OpenError> {
         let mut rig = Self {
             linkage: device.linkage,
             encoder: device.encoder,

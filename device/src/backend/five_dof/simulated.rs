@@ -2,53 +2,11 @@
 //! workspace.
 
 use nalgebra::Vector3;
-use thiserror::Error;
 
 use super::map::TILT_RAD;
-use super::{Config, Drive, Encoder, FiveDof, Linkage, Middle, OutOfReach, Rig, RigConfig};
+use super::{Config, Drive, Encoder, FiveDof, Linkage, Middle, Rig, RigConfig};
 use crate::backend::sim::ScriptStart;
-use crate::{Placed, Placement, Script, ScriptError};
-
-/// Reason why this device can not follow a script.
-#[derive(Debug, Error)]
-pub enum Unsuited {
-    /// A way point is outside of the workspace.
-    #[error(
-        "way point {number} (t = {t_s} s) is {beyond_mm:.1} mm outside of the workspace of this device, a cube of \
-         {side_mm:.0} mm around the middle of the script; make the script smaller"
-    )]
-    TooFar {
-        /// Which, from 1.
-        number: usize,
-        /// Its time, s.
-        t_s: f64,
-        /// How far outside, mm.
-        beyond_mm: f64,
-        /// Side of the workspace, mm.
-        side_mm: f64,
-    },
-    /// A way point tilts the probe too far.
-    #[error(
-        "way point {number} (t = {t_s} s) tilts the probe by {degrees:.0} degrees from where it is at the first; this \
-         device takes {most:.0}"
-    )]
-    TooTilted {
-        /// Which, from 1.
-        number: usize,
-        /// Its time, s.
-        t_s: f64,
-        /// How far, degrees.
-        degrees: f64,
-        /// How far it takes.
-        most: f64,
-    },
-    /// The script can not be moved into the device's frame.
-    #[error(transparent)]
-    Script(#[from] ScriptError),
-    /// Out of the arms' reach.
-    #[error(transparent)]
-    OutOfReach(#[from] OutOfReach),
-}
+use crate::{OpenError, Placed, Placement, Script};
 
 /// The linkage and the encoders of 2007 with assumed motors: 1.5 N·m behind converters of 12 bits, and a force of 8
 /// N peak and 4 N continuous.
@@ -71,7 +29,7 @@ pub fn invented() -> Config {
 /// The simulated device, held by a script of the scene. Its frame makes the tool upright at the first way point and
 /// puts the middle of the script into the middle of the workspace. Later rotation about the probe is lost, as no
 /// motor measures it.
-pub fn simulated(script: &Script, start: ScriptStart) -> Result<Placed, Unsuited> {
+pub fn simulated(script: &Script, start: ScriptStart) -> Result<Placed, OpenError> {
     let config = invented();
     let middle = Middle::of(&config.linkage)?;
     let upright = script.waypoints()[0].orientation;
@@ -83,27 +41,25 @@ pub fn simulated(script: &Script, start: ScriptStart) -> Result<Placed, Unsuited
     Ok(Placed::new(device, placement))
 }
 
-fn check(script: &Script, middle: &Middle) -> Result<(), Unsuited> {
+fn check(script: &Script, middle: &Middle) -> Result<(), OpenError> {
     let reach = middle.half_m * (1.0 + 1e-9);
     for (k, way) in script.waypoints().iter().enumerate() {
         let (number, t_s) = (k + 1, way.t_s);
         let away = (way.position - middle.pivot).amax();
         if away > reach {
-            return Err(Unsuited::TooFar {
-                number,
-                t_s,
-                beyond_mm: (away - reach) * 1e3,
-                side_mm: middle.half_m * 2e3,
-            });
+            let (beyond, side) = ((away - reach) * 1e3, middle.half_m * 2e3);
+            return Err(OpenError::new(format_args!(
+                "way point {number} (t = {t_s} s) is {beyond:.1} mm outside of the workspace of this \
+                 device, a cube of {side:.0} mm around the middle of the script; make the script smaller"
+            )));
         }
         let tilt = (way.orientation * Vector3::y()).angle(&Vector3::y());
         if tilt > TILT_RAD {
-            return Err(Unsuited::TooTilted {
-                number,
-                t_s,
-                degrees: tilt.to_degrees(),
-                most: TILT_RAD.to_degrees(),
-            });
+            let (degrees, most) = (tilt.to_degrees(), TILT_RAD.to_degrees());
+            return Err(OpenError::new(format_args!(
+                "way point {number} (t = {t_s} s) tilts the probe by {degrees:.0} degrees from where it \
+                 is at the first; this device takes {most:.0}"
+            )));
         }
     }
     Ok(())
@@ -113,7 +69,7 @@ fn check(script: &Script, middle: &Middle) -> Result<(), Unsuited> {
 mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
 
-    use super::{Unsuited, simulated};
+    use super::simulated;
     use crate::backend::sim::ScriptStart;
     use crate::script::{Hand, Tool, Waypoint};
     use crate::{DeviceTime, HapticDevice, Script};
@@ -152,10 +108,7 @@ mod tests {
         let error = simulated(&script(far), ScriptStart::not_yet())
             .err()
             .unwrap();
-        assert!(
-            matches!(error, Unsuited::TooFar { number: 1, .. }),
-            "{error}"
-        );
+        assert!(error.to_string().starts_with("way point 1 "), "{error}");
         let tilted = vec![
             Waypoint::new(0.0, Vector3::zeros()),
             Waypoint::new(2.5, Vector3::zeros())

@@ -26,9 +26,8 @@ mod tests;
 
 use std::time::Duration;
 
-use super::steered::{
-    DeviceLost, Kind, OpenError, RateControl, Rumble, Source, SourceEvent, Space, Steered,
-};
+use super::steered::{DeviceLost, Kind, RateControl, Rumble, Source, SourceEvent, Space, Steered};
+use crate::OpenError;
 
 pub use pad::{Axis, Key, Pad, PadEvent, Trigger};
 #[cfg(feature = "gamepad")]

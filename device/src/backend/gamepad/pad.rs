@@ -63,7 +63,6 @@ pub enum Key {
     CrossDown,
 }
 
-/// The number of [`Key`]s.
 const KEYS: usize = 12;
 
 /// An event of a gamepad.

@@ -6,7 +6,8 @@ use gilrs::ff::{BaseEffect, BaseEffectType, Effect, EffectBuilder};
 use gilrs::{Button, EventType, GamepadId, Gilrs, GilrsBuilder};
 
 use super::{Axis, DeviceLost, Key, PadEvent, Port, Trigger, over};
-use crate::backend::steered::{OpenError, RateControl, Space, Steered};
+use crate::OpenError;
+use crate::backend::steered::{RateControl, Space, Steered, no_search, not_found};
 
 const WHAT: &str = "gamepad";
 
@@ -14,14 +15,11 @@ const WHAT: &str = "gamepad";
 pub fn open(rate: RateControl, space: &Space) -> Result<Steered, OpenError> {
     // No filters of gilrs: they have a dead zone per stick; rate control has one for all axes together.
     let builder = GilrsBuilder::new().with_default_filters(false);
-    let mut library = builder.build().map_err(|e| OpenError::Library {
-        what: WHAT,
-        why: e.to_string(),
-    })?;
+    let mut library = builder.build().map_err(|e| no_search(WHAT, e))?;
     let first = library.gamepads().next();
     let (id, name) = first
         .map(|(id, pad)| (id, pad.name().to_owned()))
-        .ok_or(OpenError::NotFound { what: WHAT })?;
+        .ok_or_else(|| not_found(WHAT))?;
     let shake = shake(&mut library, id);
     let port = Pads {
         all: library,

@@ -8,12 +8,12 @@ use nalgebra::Vector3;
 
 use super::alarms::{Alarms, listen};
 use super::session::Session;
-use super::{HINT, HaplyError, Service, inventory};
+use super::{HINT, Service, inventory};
 use crate::backend::found::choose;
 use crate::backend::mailbox::{DeviceState, Fade, LoopEnd, mailbox};
 use crate::{
-    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, Sample,
-    Workspace, Wrench, Written,
+    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice,
+    OpenError, Sample, Workspace, Wrench, Written,
 };
 
 /// Messages without a new force before it fades, and for the fade: 20 ms each when the loop has stopped and a
@@ -31,7 +31,7 @@ pub struct Haply {
 }
 
 impl Haply {
-    pub(super) fn open(service: &Service, which: Option<&str>) -> Result<Self, HaplyError> {
+    pub(super) fn open(service: &Service, which: Option<&str>) -> Result<Self, OpenError> {
         let (link, message) = inventory(&service.simulation)?;
         let found = message.found();
         let chosen = &found[choose("haply", HINT, &found, which)?];
@@ -77,11 +77,13 @@ impl Haply {
     }
 }
 
-fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, HaplyError> {
+fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, OpenError> {
     let builder = std::thread::Builder::new().name(name.to_owned());
-    builder
-        .spawn(work)
-        .map_err(|why| HaplyError::Thread(why.to_string()))
+    builder.spawn(work).map_err(|e| {
+        OpenError::new(format_args!(
+            "the system did not start a thread for the Haply service: {e}"
+        ))
+    })
 }
 
 /// Capabilities of an Inverse3. The service does not report them; the forces are modest for a desktop device, and

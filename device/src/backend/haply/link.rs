@@ -9,7 +9,8 @@ use tungstenite::handshake::HandshakeError;
 use tungstenite::protocol::WebSocketConfig;
 use tungstenite::{Message, Utf8Bytes, WebSocket};
 
-use super::HaplyError;
+use super::silent;
+use crate::OpenError;
 
 /// Timeout of a connection attempt. The service runs on this machine, so a failure shows at once.
 const CONNECT: Duration = Duration::from_millis(300);
@@ -39,11 +40,12 @@ pub(super) enum Received {
 
 impl Link {
     /// Connects.
-    pub(super) fn open(url: &str) -> Result<Self, HaplyError> {
+    pub(super) fn open(url: &str) -> Result<Self, OpenError> {
         let stream = connect(url)?;
-        let no_websocket = |why: String| HaplyError::NoWebSocket {
-            url: url.to_owned(),
-            why,
+        let no_websocket = |why: String| {
+            OpenError::new(format_args!(
+                "the server at {url} is not a WebSocket server ({why}); is another program on that port?"
+            ))
         };
         let set = || {
             stream.set_nodelay(true)?;
@@ -57,9 +59,7 @@ impl Link {
         match tungstenite::client::client_with_config(url, stream, Some(config)) {
             Ok((socket, _)) => Ok(Self { socket }),
             Err(HandshakeError::Failure(why)) => Err(no_websocket(why.to_string())),
-            Err(HandshakeError::Interrupted(_)) => Err(HaplyError::Silent {
-                url: url.to_owned(),
-            }),
+            Err(HandshakeError::Interrupted(_)) => Err(silent(url)),
         }
     }
 
@@ -102,7 +102,6 @@ impl Link {
     }
 }
 
-/// Error kinds of a timeout.
 fn is_late(kind: ErrorKind) -> bool {
     matches!(
         kind,
@@ -110,8 +109,12 @@ fn is_late(kind: ErrorKind) -> bool {
     )
 }
 
-fn connect(url: &str) -> Result<TcpStream, HaplyError> {
-    let bad = || HaplyError::Address(url.to_owned());
+fn connect(url: &str) -> Result<TcpStream, OpenError> {
+    let bad = || {
+        OpenError::new(format_args!(
+            "invalid address of a Haply service: {url:?}; use a form like ws://localhost:10001"
+        ))
+    };
     let rest = url.strip_prefix("ws://").ok_or_else(bad)?;
     let host = rest.split('/').next().unwrap_or(rest);
     let addresses: Vec<SocketAddr> = host.to_socket_addrs().map_err(|_| bad())?.collect();
@@ -122,8 +125,8 @@ fn connect(url: &str) -> Result<TcpStream, HaplyError> {
             Err(e) => why = e.to_string(),
         }
     }
-    Err(HaplyError::NotRunning {
-        url: url.to_owned(),
-        why,
-    })
+    Err(OpenError::new(format_args!(
+        "no Haply service answers at {url} ({why}): install the Haply Hub or the Haply Inverse Service \
+         from haply.co, and start it"
+    )))
 }

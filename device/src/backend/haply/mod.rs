@@ -21,17 +21,16 @@
 
 mod alarms;
 mod device;
-mod error;
 mod link;
 mod message;
 mod session;
 
 pub use device::Haply;
-pub use error::HaplyError;
 
 use self::link::{Link, Received};
 use self::message::Message;
 use super::found::Found;
+use crate::OpenError;
 
 /// Where the service listens.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -56,38 +55,35 @@ impl Default for Service {
 const HINT: &str = "look at its cable and power supply, and whether the Haply Hub shows it";
 
 /// The devices that the service knows.
-///
-/// # Errors
-///
-/// When no service answers, or its answer is not an inventory.
-pub fn find(service: &Service) -> Result<Vec<Found>, HaplyError> {
+pub fn find(service: &Service) -> Result<Vec<Found>, OpenError> {
     Ok(inventory(&service.simulation)?.1.found())
 }
 
 /// Opens the device with this id, or the only one.
-///
-/// # Errors
-///
-/// When no service answers, or its answer is not an inventory, and when none or several devices are plugged in.
-pub fn open(service: &Service, which: Option<&str>) -> Result<Haply, HaplyError> {
+pub fn open(service: &Service, which: Option<&str>) -> Result<Haply, OpenError> {
     Haply::open(service, which)
 }
 
 /// A connection and its first message, which the service sends unasked.
-fn inventory(url: &str) -> Result<(Link, Message), HaplyError> {
+fn inventory(url: &str) -> Result<(Link, Message), OpenError> {
     let mut link = Link::open(url)?;
-    let unfit = |why: String| HaplyError::Unfit {
-        url: url.to_owned(),
-        why,
+    let unfit = |why: String| {
+        OpenError::new(format_args!(
+            "the service at {url} does not send the inventory of a Haply service: {why}"
+        ))
     };
     match link.receive() {
         Received::Text(text) => match Message::read(&text) {
             Ok(message) => Ok((link, message)),
             Err(why) => Err(unfit(why)),
         },
-        Received::Nothing => Err(HaplyError::Silent {
-            url: url.to_owned(),
-        }),
+        Received::Nothing => Err(silent(url)),
         Received::Unfit(why) | Received::Closed(why) => Err(unfit(why)),
     }
+}
+
+fn silent(url: &str) -> OpenError {
+    OpenError::new(format_args!(
+        "the Haply service at {url} sends nothing; restart it"
+    ))
 }

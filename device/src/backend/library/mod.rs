@@ -6,9 +6,9 @@ mod machine;
 pub(super) mod sys;
 
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use thiserror::Error;
+use crate::OpenError;
 
 pub(super) use sys::Library;
 
@@ -23,63 +23,6 @@ const FOLDERS: [&str; 7] = [
     "/usr/lib/i386-linux-gnu",
 ];
 
-/// Reason why a maker's library can not be used.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub enum LibraryError {
-    /// The loader finds none of its names.
-    #[error("{what} is not installed: the system finds none of {names}. {how}")]
-    NotInstalled {
-        /// The maker's software.
-        what: &'static str,
-        /// The names that were tried.
-        names: String,
-        /// How to install it.
-        how: &'static str,
-    },
-    /// The named file does not exist, or can not be read.
-    #[error("the library {} can not be read: {why}", file.display())]
-    Unreadable {
-        /// The file.
-        file: PathBuf,
-        /// The system's error.
-        why: String,
-    },
-    /// It was built for another processor.
-    #[error(
-        "the library {} is built for {is}, and this program for {needs}: install the maker's edition for {needs}",
-        file.display()
-    )]
-    OtherMachine {
-        /// The file.
-        file: PathBuf,
-        /// The processor it is for.
-        is: &'static str,
-        /// The processor of this program.
-        needs: &'static str,
-    },
-    /// The loader rejected it.
-    #[error("the library {} can not be loaded: {why}", file.display())]
-    Refused {
-        /// The file.
-        file: PathBuf,
-        /// The loader's error: a library that it depends on is missing, or the file is not a library.
-        why: String,
-    },
-    /// It lacks a function.
-    #[error(
-        "the library {} has no function {symbol}: it is too old, or another library of that name. {how}",
-        file.display()
-    )]
-    NoFunction {
-        /// The file.
-        file: PathBuf,
-        /// The function.
-        symbol: &'static str,
-        /// How to install a newer one.
-        how: &'static str,
-    },
-}
-
 /// A library of a maker.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Wanted {
@@ -93,32 +36,29 @@ pub(super) struct Wanted {
 
 impl Wanted {
     /// Loads it from `file`, or by the loader's search path.
-    pub(super) fn load(self, file: Option<&Path>) -> Result<Library, LibraryError> {
+    pub(super) fn load(self, file: Option<&Path>) -> Result<Library, OpenError> {
         match file {
             Some(file) => self.load_file(file),
             None => self.load_by_name(),
         }
     }
 
-    fn load_file(self, file: &Path) -> Result<Library, LibraryError> {
+    fn load_file(self, file: &Path) -> Result<Library, OpenError> {
         fits(file)?;
-        Library::open(file, self.how).map_err(|why| LibraryError::Refused {
-            file: file.to_owned(),
-            why,
-        })
+        Library::open(file, self.how).map_err(|why| refused(file, &why))
     }
 
-    fn load_by_name(self) -> Result<Library, LibraryError> {
-        let mut refused = None;
+    fn load_by_name(self) -> Result<Library, OpenError> {
+        let mut unusable = None;
         for name in self.names {
             match Library::open(Path::new(name), self.how) {
                 Ok(library) => return Ok(library),
                 Err(why) if is_absent(name, &why) => {}
-                Err(why) => refused = refused.or(Some((PathBuf::from(name), why))),
+                Err(why) => unusable = unusable.or(Some(refused(Path::new(name), &why))),
             }
         }
-        if let Some((file, why)) = refused {
-            return Err(LibraryError::Refused { file, why });
+        if let Some(unusable) = unusable {
+            return Err(unusable);
         }
         // A loader skips files for another processor without an error.
         for folder in FOLDERS {
@@ -129,11 +69,10 @@ impl Wanted {
                 }
             }
         }
-        Err(LibraryError::NotInstalled {
-            what: self.what,
-            names: self.names.join(", "),
-            how: self.how,
-        })
+        let (what, names, how) = (self.what, self.names.join(", "), self.how);
+        Err(OpenError::new(format_args!(
+            "{what} is not installed: the system finds none of {names}. {how}"
+        )))
     }
 }
 
@@ -149,22 +88,31 @@ fn is_absent(name: &str, why: &str) -> bool {
 }
 
 /// Whether `file` exists and is not for another processor.
-fn fits(file: &Path) -> Result<(), LibraryError> {
+fn fits(file: &Path) -> Result<(), OpenError> {
     let mut head = Vec::new();
     std::fs::File::open(file)
         .and_then(|opened| opened.take(machine::HEAD_BYTES).read_to_end(&mut head))
-        .map_err(|why| LibraryError::Unreadable {
-            file: file.to_owned(),
-            why: why.to_string(),
-        })?;
+        .map_err(|e| about(file, &format!("can not be read: {e}")))?;
     match machine::of(&head) {
-        Some(is) if is != std::env::consts::ARCH => Err(LibraryError::OtherMachine {
-            file: file.to_owned(),
-            is,
-            needs: std::env::consts::ARCH,
-        }),
+        Some(is) if is != std::env::consts::ARCH => {
+            let needs = std::env::consts::ARCH;
+            let why = format!(
+                "is built for {is}, and this program for {needs}: install the maker's edition for \
+                 {needs}"
+            );
+            Err(about(file, &why))
+        }
         _ => Ok(()),
     }
+}
+
+/// An error of the loader: a library that it depends on is missing, or the file is not a library.
+fn refused(file: &Path, why: &str) -> OpenError {
+    about(file, &format!("can not be loaded: {why}"))
+}
+
+fn about(file: &Path, what: &str) -> OpenError {
+    OpenError::new(format_args!("the library {} {what}", file.display()))
 }
 
 #[cfg(test)]

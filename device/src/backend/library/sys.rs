@@ -3,7 +3,8 @@
 use std::ffi::{CStr, c_char};
 use std::path::{Path, PathBuf};
 
-use super::LibraryError;
+use super::about;
+use crate::OpenError;
 
 /// A loaded library. Functions that were taken from it may be called for as long as it lives.
 #[derive(Debug)]
@@ -38,16 +39,47 @@ impl Library {
     pub(in crate::backend) unsafe fn function<F: Copy>(
         &self,
         symbol: &'static str,
-    ) -> Result<F, LibraryError> {
+    ) -> Result<F, OpenError> {
         // SAFETY: the caller vouches for the type.
         let found = unsafe { self.loaded.get::<F>(symbol) };
-        found.map(|f| *f).map_err(|_| LibraryError::NoFunction {
-            file: self.file.clone(),
-            symbol,
-            how: self.how,
+        found.map(|f| *f).map_err(|_| {
+            let how = self.how;
+            let why = format!(
+                "has no function {symbol}: it is too old, or another library of that name. {how}"
+            );
+            about(&self.file, &why)
         })
     }
 }
+
+/// The functions of a maker's library that a driver calls: field, type, and name in the library.
+///
+/// Each type has to be that of the function in the maker's public headers. The library lives as long as the table.
+macro_rules! functions {
+    ($wanted:expr; $($field:ident: $type:ty = $name:literal,)*) => {
+        /// The used functions, and the library that contains them.
+        #[derive(Debug)]
+        pub(super) struct Api {
+            $($field: $type,)*
+            // The last field: the fields above point into it.
+            _library: Library,
+        }
+
+        impl Api {
+            /// Loads the library and resolves all functions.
+            pub(super) fn load(file: Option<&Path>) -> Result<Self, OpenError> {
+                let library = $wanted.load(file)?;
+                Ok(Self {
+                    // SAFETY: the type is that of the function, and the library is a field of the same table.
+                    $($field: unsafe { library.function($name)? },)*
+                    _library: library,
+                })
+            }
+        }
+    };
+}
+
+pub(in crate::backend) use functions;
 
 /// A text of a library's own; empty for null.
 ///

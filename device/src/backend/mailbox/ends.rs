@@ -102,7 +102,6 @@ pub(in crate::backend) fn mailbox(fade: Fade) -> (LoopEnd, DriverEnd) {
     (loop_end, end)
 }
 
-/// The driver's end.
 #[derive(Debug)]
 pub(in crate::backend) struct DriverEnd {
     device_state: Input<DeviceState>,
@@ -111,7 +110,6 @@ pub(in crate::backend) struct DriverEnd {
 }
 
 impl DriverEnd {
-    /// Publishes the newest state.
     pub(in crate::backend) fn publish(&mut self, device_state: DeviceState) {
         self.device_state.write(DeviceState {
             share: self.fade.share(),
@@ -168,7 +166,6 @@ impl LoopEnd {
         (*self.device_state.output_buffer(), is_new)
     }
 
-    /// The last received state.
     pub(in crate::backend) fn last(&self) -> &DeviceState {
         self.device_state.output_buffer()
     }

@@ -8,14 +8,13 @@ use std::time::Duration;
 
 use nalgebra::Vector3;
 
-use super::error::OpenHapticsError;
 use super::sys::{Api, Handle, Servo};
 use super::turn::{Requests, Turner};
 use super::{frame, parameter};
 use crate::backend::mailbox::{Fade, LoopEnd, mailbox};
 use crate::{
-    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice, Sample,
-    Workspace, Wrench, Written,
+    Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, ForceState, HapticDevice,
+    OpenError, Sample, Workspace, Wrench, Written,
 };
 
 /// Turns of the servo thread without a new force before it fades, and for the fade: 20 ms each, at a thousand a
@@ -38,10 +37,7 @@ pub struct OpenHaptics {
 
 impl OpenHaptics {
     /// Opens a device by the name it has in the maker's setup program, or the default one.
-    pub(super) fn open(
-        library: Option<&Path>,
-        name: Option<&str>,
-    ) -> Result<Self, OpenHapticsError> {
+    pub(super) fn open(library: Option<&Path>, name: Option<&str>) -> Result<Self, OpenError> {
         let api = Arc::new(Api::load(library)?);
         let handle = init(&api, name)?;
         api.switch(parameter::MAX_FORCE_CLAMPING, true);
@@ -78,9 +74,10 @@ impl OpenHaptics {
         if heard {
             Ok(device)
         } else {
-            Err(OpenHapticsError::Silent {
-                name: called(name).to_owned(),
-            })
+            let name = called(name);
+            Err(OpenError::new(format_args!(
+                "the device {name} was opened but sends no state; unplug it, plug it in and try again"
+            )))
         }
     }
 
@@ -101,9 +98,14 @@ impl OpenHaptics {
 }
 
 /// Opens the device itself.
-pub(super) fn init(api: &Api, name: Option<&str>) -> Result<Handle, OpenHapticsError> {
+pub(super) fn init(api: &Api, name: Option<&str>) -> Result<Handle, OpenError> {
     let text = name.map(CString::new).transpose();
-    let text = text.map_err(|_| OpenHapticsError::Name(called(name).to_owned()))?;
+    let text = text.map_err(|_| {
+        OpenError::new(format_args!(
+            "invalid device name {:?}; use the name in the maker's setup program",
+            called(name)
+        ))
+    })?;
     let handle = api.init(text.as_ref());
     let code = api.error();
     match (handle, code) {
@@ -117,11 +119,11 @@ pub(super) fn init(api: &Api, name: Option<&str>) -> Result<Handle, OpenHapticsE
                 api.disable_device(handle);
             }
             let code = code.unwrap_or_default();
-            Err(OpenHapticsError::Refused {
-                name: called(name).to_owned(),
-                words: api.words(code),
-                code,
-            })
+            let (name, words) = (called(name), api.words(code));
+            Err(OpenError::new(format_args!(
+                "the device {name} can not be opened: {words} (code {code:#06x}); look at cable and power, \
+                 and see in the maker's setup program that a device of this name is set up and paired"
+            )))
         }
     }
 }

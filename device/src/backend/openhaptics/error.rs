@@ -1,39 +1,6 @@
 //! Errors of the library, in the numbers of the public header `hdDefines.h`.
 
-use thiserror::Error;
-
 use crate::Faults;
-use crate::backend::library::LibraryError;
-
-/// Why a Touch or Phantom can not be opened.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub enum OpenHapticsError {
-    /// The maker's library is missing or unusable.
-    #[error(transparent)]
-    Library(#[from] LibraryError),
-    /// A name with a NUL character.
-    #[error("invalid device name {0:?}; use the name in the maker's setup program")]
-    Name(String),
-    /// The library reported an error.
-    #[error(
-        "the device {name} can not be opened: {words} (code {code:#06x}); look at cable and power, and see in the maker's \
-         setup program that a device of this name is set up and paired"
-    )]
-    Refused {
-        /// The requested name.
-        name: String,
-        /// The library's text.
-        words: String,
-        /// Its code.
-        code: u32,
-    },
-    /// The library's servo thread does not call back.
-    #[error("the device {name} was opened but sends no state; unplug it, plug it in and try again")]
-    Silent {
-        /// The requested name.
-        name: String,
-    },
-}
 
 /// Unknown parameter, value, operation or type of this model. A query for orientation on a model of three degrees
 /// of freedom causes one per frame, and the frame is still valid.

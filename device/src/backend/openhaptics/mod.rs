@@ -19,20 +19,16 @@ mod turn;
 use std::path::Path;
 
 pub use device::OpenHaptics;
-pub use error::OpenHapticsError;
 
 use self::sys::Api;
 use super::found::Found;
+use crate::OpenError;
 
 /// Finds the device of this name, or the default one: opened for a moment, without force. The library has no list
 /// of devices.
 ///
 /// `library` is the file to load; without one the system's search path applies.
-///
-/// # Errors
-///
-/// When the library is missing or unusable, or the device does not open.
-pub fn find(library: Option<&Path>, name: Option<&str>) -> Result<Found, OpenHapticsError> {
+pub fn find(library: Option<&Path>, name: Option<&str>) -> Result<Found, OpenError> {
     let api = Api::load(library)?;
     let handle = device::init(&api, name)?;
     let (model, serial) = (api.text(parameter::MODEL), api.text(parameter::SERIAL));
@@ -45,10 +41,6 @@ pub fn find(library: Option<&Path>, name: Option<&str>) -> Result<Found, OpenHap
 }
 
 /// Opens the device of this name, or the default one.
-///
-/// # Errors
-///
-/// When the library is missing or unusable, or the device does not open or sends no state.
-pub fn open(library: Option<&Path>, name: Option<&str>) -> Result<OpenHaptics, OpenHapticsError> {
+pub fn open(library: Option<&Path>, name: Option<&str>) -> Result<OpenHaptics, OpenError> {
     OpenHaptics::open(library, name)
 }

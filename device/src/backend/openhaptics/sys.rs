@@ -9,8 +9,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::backend::library::sys::text;
-use crate::backend::library::{Library, LibraryError, Wanted};
+use crate::OpenError;
+use crate::backend::library::sys::{functions, text};
+use crate::backend::library::{Library, Wanted};
 
 /// The library's names on this system, and how to install it.
 const WANTED: Wanted = Wanted {
@@ -53,63 +54,30 @@ const PRIORITY: c_ushort = 32_767;
 const DONE: c_uint = 0;
 const CONTINUE: c_uint = 1;
 
-/// The used functions, and the library that contains them.
-#[derive(Debug)]
-pub(super) struct Api {
-    init: unsafe extern "system" fn(*const c_char) -> c_uint,
-    disable_device: Number,
-    make_current: Number,
-    begin: Number,
-    end: Number,
-    enable: Number,
-    disable: Number,
-    doubles: unsafe extern "system" fn(c_uint, *mut f64),
-    integers: unsafe extern "system" fn(c_uint, *mut c_int),
-    text: unsafe extern "system" fn(c_uint) -> *const c_char,
-    set_doubles: unsafe extern "system" fn(c_uint, *const f64),
-    error: unsafe extern "system" fn() -> ErrorInfo,
-    error_text: unsafe extern "system" fn(c_uint) -> *const c_char,
-    start: unsafe extern "system" fn(),
-    stop: unsafe extern "system" fn(),
-    schedule: unsafe extern "system" fn(Callback, *mut c_void, c_ushort) -> c_ulong,
-    unschedule: unsafe extern "system" fn(c_ulong),
-    check_calibration: unsafe extern "system" fn() -> c_uint,
-    update_calibration: Number,
-    // The last field: the fields above point into it.
-    _library: Library,
+functions! {
+    WANTED;
+    init: unsafe extern "system" fn(*const c_char) -> c_uint = "hdInitDevice",
+    disable_device: Number = "hdDisableDevice",
+    make_current: Number = "hdMakeCurrentDevice",
+    begin: Number = "hdBeginFrame",
+    end: Number = "hdEndFrame",
+    enable: Number = "hdEnable",
+    disable: Number = "hdDisable",
+    doubles: unsafe extern "system" fn(c_uint, *mut f64) = "hdGetDoublev",
+    integers: unsafe extern "system" fn(c_uint, *mut c_int) = "hdGetIntegerv",
+    text: unsafe extern "system" fn(c_uint) -> *const c_char = "hdGetString",
+    set_doubles: unsafe extern "system" fn(c_uint, *const f64) = "hdSetDoublev",
+    error: unsafe extern "system" fn() -> ErrorInfo = "hdGetError",
+    error_text: unsafe extern "system" fn(c_uint) -> *const c_char = "hdGetErrorString",
+    start: unsafe extern "system" fn() = "hdStartScheduler",
+    stop: unsafe extern "system" fn() = "hdStopScheduler",
+    schedule: unsafe extern "system" fn(Callback, *mut c_void, c_ushort) -> c_ulong = "hdScheduleAsynchronous",
+    unschedule: unsafe extern "system" fn(c_ulong) = "hdUnschedule",
+    check_calibration: unsafe extern "system" fn() -> c_uint = "hdCheckCalibration",
+    update_calibration: Number = "hdUpdateCalibration",
 }
 
 impl Api {
-    /// Loads the library and resolves all functions.
-    pub(super) fn load(file: Option<&Path>) -> Result<Self, LibraryError> {
-        let library = WANTED.load(file)?;
-        // SAFETY: every type is that of the function in the public headers, and the library lives as long as `Self`.
-        unsafe {
-            Ok(Self {
-                init: library.function("hdInitDevice")?,
-                disable_device: library.function("hdDisableDevice")?,
-                make_current: library.function("hdMakeCurrentDevice")?,
-                begin: library.function("hdBeginFrame")?,
-                end: library.function("hdEndFrame")?,
-                enable: library.function("hdEnable")?,
-                disable: library.function("hdDisable")?,
-                doubles: library.function("hdGetDoublev")?,
-                integers: library.function("hdGetIntegerv")?,
-                text: library.function("hdGetString")?,
-                set_doubles: library.function("hdSetDoublev")?,
-                error: library.function("hdGetError")?,
-                error_text: library.function("hdGetErrorString")?,
-                start: library.function("hdStartScheduler")?,
-                stop: library.function("hdStopScheduler")?,
-                schedule: library.function("hdScheduleAsynchronous")?,
-                unschedule: library.function("hdUnschedule")?,
-                check_calibration: library.function("hdCheckCalibration")?,
-                update_calibration: library.function("hdUpdateCalibration")?,
-                _library: library,
-            })
-        }
-    }
-
     /// Opens the device of this name, or the default one, and makes it current.
     pub(super) fn init(&self, name: Option<&CString>) -> Option<Handle> {
         let name = name.map_or(std::ptr::null(), |n| n.as_ptr());
@@ -166,7 +134,6 @@ impl Api {
         numbers[0]
     }
 
-    /// A text of a parameter.
     pub(super) fn text(&self, parameter: u32) -> String {
         // SAFETY: takes a number, gives null or a text of the library's own.
         unsafe { text((self.text)(parameter)) }

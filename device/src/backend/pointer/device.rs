@@ -1,13 +1,13 @@
 //! The driver as a [`HapticDevice`](crate::HapticDevice).
 
 use rtrb::Consumer;
-use thiserror::Error;
 
 use super::handle::queue;
 use super::{Aim, EVENTS_MAX, Follower, PointerEvent, PointerHandle};
+use crate::error::check_ranges;
 use crate::{
-    Buttons, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Pose,
-    Rejection, Sample, Workspace, Wrench, Written,
+    Buttons, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, OpenError,
+    Pose, Rejection, Sample, Workspace, Wrench, Written,
 };
 
 /// Age of an event after which it presses no button, µs: the loop was held up, and the press referred to another
@@ -46,26 +46,6 @@ impl PointerConfig {
     }
 }
 
-/// Reason for rejecting a configuration.
-#[derive(Debug, Clone, Copy, PartialEq, Error)]
-pub enum BadPointer {
-    /// An invalid speed.
-    #[error("{what} of the pointer is {found}, and must be a number from {least} to {most}")]
-    Speed {
-        /// Its name.
-        what: &'static str,
-        /// Its value.
-        found: f64,
-        /// The minimum.
-        least: f64,
-        /// The maximum.
-        most: f64,
-    },
-    /// The start or the workspace is not finite, or the workspace is inverted.
-    #[error("the pointer's workspace or start is not a box and a pose of finite numbers")]
-    Place,
-}
-
 /// A tool under a pointer.
 #[derive(Debug)]
 pub struct Pointer {
@@ -81,24 +61,18 @@ pub struct Pointer {
 
 impl Pointer {
     /// A tool under a pointer, and the handle by which a view sends events.
-    pub fn new(config: &PointerConfig) -> Result<(Self, PointerHandle), BadPointer> {
-        for (what, found, least, most) in [
-            ("speed_m_per_s", config.speed_m_per_s, 1e-3, 2.0),
-            ("turn_rad_per_s", config.turn_rad_per_s, 1e-2, 20.0),
-        ] {
-            if !(least..=most).contains(&found) {
-                return Err(BadPointer::Speed {
-                    what,
-                    found,
-                    least,
-                    most,
-                });
-            }
-        }
+    pub fn new(config: &PointerConfig) -> Result<(Self, PointerHandle), OpenError> {
+        let speeds = [
+            ("speed_m_per_s", config.speed_m_per_s, 1e-3..=2.0),
+            ("turn_rad_per_s", config.turn_rad_per_s, 1e-2..=20.0),
+        ];
+        check_ranges("the pointer", speeds)?;
         let Workspace { min, max } = config.workspace;
         let finite = min.iter().chain(&max).all(|c| c.is_finite());
         if !(finite && config.start.is_finite() && (0..3).all(|i| min[i] <= max[i])) {
-            return Err(BadPointer::Place);
+            return Err(OpenError::new(
+                "the pointer's workspace or start is not a box and a pose of finite numbers",
+            ));
         }
         let (handle, events) = queue();
         let aim = Aim::new(config.workspace, config.start);

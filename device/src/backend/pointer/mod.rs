@@ -17,7 +17,7 @@ mod handle;
 mod tests;
 
 pub use aim::{Aim, FINE, TURN_RAD_PER_M};
-pub use device::{BadPointer, Pointer, PointerConfig};
+pub use device::{Pointer, PointerConfig};
 pub use event::{Modifiers, PointerEvent, View};
 pub use follower::{Follower, RATE_PER_S};
 pub use handle::{EVENTS_MAX, PointerFull, PointerHandle};

@@ -13,7 +13,7 @@ use crate::{
     DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Sample, Wrench, Written,
 };
 
-pub use motion::{Moment, Motion, MotionError};
+pub use motion::{Moment, Motion};
 
 /// Ramp time of the force after enabling, µs.
 const RAMP_US: i64 = 100_000;

@@ -4,11 +4,9 @@ use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::Deserialize;
-use thiserror::Error;
 
 use crate::script::POSITION_MAX_M;
-use crate::text_file::{self, TextFileError};
-use crate::{Buttons, Pose};
+use crate::{Buttons, Pose, ScriptError, text_file};
 
 /// Maximum size of a file: hours at a kilohertz.
 const BYTES_MAX: u64 = 1 << 30;
@@ -40,55 +38,6 @@ pub struct Motion {
     moments: Vec<Moment>,
 }
 
-/// Reason for rejecting a file.
-#[derive(Debug, Error)]
-pub enum MotionError {
-    /// It can not be read.
-    #[error("{path} can not be read: {source}")]
-    Read {
-        /// The file.
-        path: String,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// It is too large.
-    #[error("{path} has {bytes} bytes; a motion has at most {BYTES_MAX}")]
-    TooLarge {
-        /// The file.
-        path: String,
-        /// Its size.
-        bytes: u64,
-    },
-    /// It is not a recording.
-    #[error("this is no recording of a session (JSON with a list \"haptic\"): {0}")]
-    Json(#[from] serde_json::Error),
-    /// The first line of a table is invalid.
-    #[error(
-        "line 1 should name the columns: t_s (or time_s),x_m,y_m,z_m, and if they are known qw,qx,qy,qz and buttons; it is \
-         \"{0}\""
-    )]
-    Header(String),
-    /// A row of a table is invalid.
-    #[error("line {line}: {what}")]
-    Row {
-        /// Which, from 1.
-        line: usize,
-        /// The error.
-        what: String,
-    },
-    /// Too few samples.
-    #[error("a motion needs two moments or more; here is {0}")]
-    TooShort(usize),
-    /// An invalid sample.
-    #[error("moment {number}: {what}")]
-    Moment {
-        /// Which, from 1.
-        number: usize,
-        /// The error.
-        what: &'static str,
-    },
-}
-
 #[derive(Deserialize)]
 struct Recording {
     haptic: Vec<Point>,
@@ -112,17 +61,24 @@ fn not_turned() -> [f64; 4] {
 
 impl Motion {
     /// A motion of these moments; time is counted from the first.
-    pub fn new(mut moments: Vec<Moment>) -> Result<Self, MotionError> {
+    pub fn new(moments: Vec<Moment>) -> Result<Self, ScriptError> {
+        Self::checked(moments, |k| format!("moment {}:", k + 1))
+    }
+
+    /// The same; `place` names a moment in an error.
+    fn checked(
+        mut moments: Vec<Moment>,
+        place: impl Fn(usize) -> String,
+    ) -> Result<Self, ScriptError> {
         if moments.len() < 2 {
-            return Err(MotionError::TooShort(moments.len()));
+            let n = moments.len();
+            let why = format_args!("a motion needs two moments or more; here is {n}");
+            return Err(ScriptError::new(why));
         }
         let began = moments[0].t_s;
         let mut last: Option<Moment> = None;
         for (k, moment) in moments.iter_mut().enumerate() {
-            let wrong = |what| MotionError::Moment {
-                number: k + 1,
-                what,
-            };
+            let wrong = |what: &str| ScriptError::new(format_args!("{} {what}", place(k)));
             if !(moment.t_s.is_finite() && moment.pose.is_finite()) {
                 return Err(wrong("holds a number that is not finite"));
             }
@@ -151,18 +107,8 @@ impl Motion {
     }
 
     /// Reads a recording of a session (`.json`), or a table (`.csv`) with a line of column names.
-    pub fn load(path: &Path) -> Result<Self, MotionError> {
-        let name = || path.display().to_string();
-        let text = text_file::read(path, BYTES_MAX).map_err(|e| match e {
-            TextFileError::Read(source) => MotionError::Read {
-                path: name(),
-                source,
-            },
-            TextFileError::TooLarge { bytes } => MotionError::TooLarge {
-                path: name(),
-                bytes,
-            },
-        })?;
+    pub fn load(path: &Path) -> Result<Self, ScriptError> {
+        let text = text_file::read(path, BYTES_MAX)?;
         if path
             .extension()
             .is_some_and(|e| e.eq_ignore_ascii_case("json"))
@@ -174,8 +120,11 @@ impl Motion {
     }
 
     /// From the JSON of a recorded session: the hand's path from the start of its script.
-    pub fn from_recording(text: &str) -> Result<Self, MotionError> {
-        let recording: Recording = serde_json::from_str(without_mark(text))?;
+    pub fn from_recording(text: &str) -> Result<Self, ScriptError> {
+        let recording: Recording = serde_json::from_str(without_mark(text)).map_err(|e| {
+            let what = "this is no recording of a session (JSON with a list \"haptic\")";
+            ScriptError::new(format_args!("{what}: {e}"))
+        })?;
         let moment = |(k, p): (usize, &Point)| {
             let [x, y, z, w] = p.orientation;
             let orientation = unit(Quaternion::new(w, x, y, z));
@@ -185,21 +134,19 @@ impl Motion {
             });
             Ok(Moment {
                 t_s: p.t_us as f64 * 1e-6,
-                pose: pose.map_err(|what| MotionError::Moment {
-                    number: k + 1,
-                    what,
-                })?,
+                pose: pose
+                    .map_err(|what| ScriptError::new(format_args!("moment {}: {what}", k + 1)))?,
                 buttons: Buttons::from_bits(p.buttons),
             })
         };
         let began = recording.script_started_us.unwrap_or(i64::MIN);
         let points = recording.haptic.iter().enumerate();
         let points = points.filter(|(_, p)| p.t_us >= began);
-        Self::new(points.map(moment).collect::<Result<_, MotionError>>()?)
+        Self::new(points.map(moment).collect::<Result<_, ScriptError>>()?)
     }
 
     /// From a table of numbers between commas.
-    pub fn from_table(text: &str) -> Result<Self, MotionError> {
+    pub fn from_table(text: &str) -> Result<Self, ScriptError> {
         let mut lines = without_mark(text).lines().enumerate();
         let first = lines.next().map_or("", |(_, line)| line.trim());
         let mut names: Vec<&str> = first.split(',').map(str::trim).collect();
@@ -209,36 +156,34 @@ impl Motion {
         let known = [&COLUMNS[..4], &COLUMNS[..8], &COLUMNS[..]];
         let short = [&COLUMNS[..4], &COLUMNS[8..]].concat();
         if !known.contains(&&names[..]) && names != short {
-            return Err(MotionError::Header(first.chars().take(80).collect()));
+            let begins: String = first.chars().take(80).collect();
+            return Err(ScriptError::new(format_args!(
+                "line 1 should name the columns: t_s (or time_s),x_m,y_m,z_m, and if they are known \
+                 qw,qx,qy,qz and buttons; it is \"{begins}\""
+            )));
         }
         let (mut moments, mut numbers) = (Vec::new(), Vec::new());
         for (k, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
-            let wrong = |what: String| MotionError::Row { line: k + 1, what };
+            let wrong = |what: &str| ScriptError::new(format_args!("line {}: {what}", k + 1));
             let cells: Vec<&str> = line.split(',').map(str::trim).collect();
             if cells.len() != names.len() {
                 let (has, asked) = (cells.len(), names.len());
-                return Err(wrong(format!("{has} numbers in {asked} columns")));
+                return Err(wrong(&format!("{has} numbers in {asked} columns")));
             }
             let mut row = Vec::with_capacity(cells.len());
             for (name, cell) in names.iter().zip(cells) {
                 let number = cell.parse().ok().filter(|x: &f64| x.is_finite());
                 let short: String = cell.chars().take(40).collect();
                 row.push(number.ok_or_else(|| {
-                    wrong(format!(
+                    wrong(&format!(
                         "{name} is \"{short}\", which is not a finite number"
                     ))
                 })?);
             }
-            moments.push(moment(&names, &row).map_err(|what| wrong(what.to_owned()))?);
+            moments.push(moment(&names, &row).map_err(wrong)?);
             numbers.push(k + 1);
         }
-        Self::new(moments).map_err(|e| match e {
-            MotionError::Moment { number, what } => MotionError::Row {
-                line: numbers[number - 1],
-                what: format!("the moment {what}"),
-            },
-            other => other,
-        })
+        Self::checked(moments, |k| format!("line {}: the moment", numbers[k]))
     }
 
     /// The moments.

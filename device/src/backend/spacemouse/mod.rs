@@ -15,10 +15,10 @@ mod system;
 #[cfg(test)]
 mod tests;
 
-use super::steered::{
-    DeviceLost, Kind, OpenError, RateControl, Source, SourceEvent, Space, Steered,
-};
 use std::time::Duration;
+
+use super::steered::{DeviceLost, Kind, RateControl, Source, SourceEvent, Space, Steered};
+use crate::OpenError;
 
 pub use cap::Cap;
 pub use known::{MULTI_AXIS, VENDORS, known};

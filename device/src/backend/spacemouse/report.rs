@@ -47,42 +47,24 @@ pub enum Report {
 
 /// A truncated message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-#[error("message {id} of the 6-DOF mouse has {found} bytes, and needs {needed}")]
-pub struct BadReport {
-    /// Its first byte.
-    pub id: u8,
-    /// How long it is.
-    pub found: usize,
-    /// How long it would have to be.
-    pub needed: usize,
-}
+#[error("a message of the 6-DOF mouse is truncated")]
+pub struct BadReport;
 
 impl Report {
     /// Parses `bytes`; `None` for a message that does not concern the hand.
     pub fn parse(bytes: &[u8]) -> Result<Option<Self>, BadReport> {
-        let Some((&id, rest)) = bytes.split_first() else {
-            return Err(BadReport {
-                id: 0,
-                found: 0,
-                needed: 1,
-            });
-        };
-        let short = |needed| BadReport {
-            id,
-            found: bytes.len(),
-            needed,
-        };
+        let (&id, rest) = bytes.split_first().ok_or(BadReport)?;
         Ok(match id {
             1 => {
-                let push = numbers(rest).ok_or(short(7))?;
+                let push = numbers(rest).ok_or(BadReport)?;
                 // Some systems pad a message to the maximum length; fewer bytes than a rotation are padding.
                 Some(match rest.get(6..).and_then(numbers) {
                     Some(twist) => Self::Both { push, twist },
                     None => Self::Push(push),
                 })
             }
-            2 => Some(Self::Twist(numbers(rest).ok_or(short(7))?)),
-            3 if rest.is_empty() => return Err(short(2)),
+            2 => Some(Self::Twist(numbers(rest).ok_or(BadReport)?)),
+            3 if rest.is_empty() => return Err(BadReport),
             3 => {
                 let bits = rest.iter().take(BUTTON_BYTES_MAX).rev();
                 let bits = bits.fold(0, |bits: u32, &byte| bits << 8 | u32::from(byte));

@@ -6,7 +6,8 @@ use std::time::Duration;
 use hidapi::{DeviceInfo, HidApi, HidDevice};
 
 use super::{DeviceLost, Port, REPORT_BYTES_MAX, VENDORS, known, over};
-use crate::backend::steered::{OpenError, RateControl, Space, Steered};
+use crate::OpenError;
+use crate::backend::steered::{RateControl, Space, Steered, no_search, not_found};
 
 const WHAT: &str = "6-DOF mouse";
 
@@ -17,16 +18,13 @@ const PERMISSION: &str = "on Linux a udev rule gives it to whoever sits at the m
 
 /// Steers a tool in `space` with the first 6-DOF mouse that is connected.
 pub fn open(rate: RateControl, space: &Space) -> Result<Steered, OpenError> {
-    let mut api = HidApi::new().map_err(|e| OpenError::Library {
-        what: WHAT,
-        why: e.to_string(),
+    let mut api = HidApi::new().map_err(|e| no_search(WHAT, e))?;
+    let Found { path, name } = find(&mut api).ok_or_else(|| not_found(WHAT))?;
+    let device = api.open_path(&path).map_err(|e| {
+        OpenError::new(format_args!(
+            "the {name} is connected but can not be opened: {e}; {PERMISSION}"
+        ))
     })?;
-    let found = find(&mut api).ok_or(OpenError::NotFound { what: WHAT })?;
-    let device = api.open_path(&found.path).map_err(|e| OpenError::Refused {
-        name: found.name.clone(),
-        why: format!("{e}; {PERMISSION}"),
-    })?;
-    let name = found.name.clone();
     let port = Hid {
         api,
         device: Some(device),

@@ -1,16 +1,15 @@
 //! The driver as a [`HapticDevice`](crate::HapticDevice).
 
 use nalgebra::Vector3;
-use thiserror::Error;
 use triple_buffer::Output;
 
 use super::controls::{State, line};
 use super::driver::{Driver, Hint};
 use super::rumble::Shaker;
-use super::{BadRate, RateControl, Rumble, Source, Steering};
+use super::{RateControl, Rumble, Source, Steering};
 use crate::{
-    DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, Pose, Rejection, Sample,
-    Workspace, Wrench, Written,
+    DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, OpenError, Pose,
+    Rejection, Sample, Workspace, Wrench, Written,
 };
 
 /// Workspace and initial pose of a tool.
@@ -39,43 +38,20 @@ pub struct Kind {
     pub rumble: Option<Rumble>,
 }
 
-/// Reason why a steering device can not be opened.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub enum OpenError {
-    /// No device is connected.
-    #[error("no {what} is connected; plug one in, or switch it on, and try again")]
-    NotFound {
-        /// The kind of device.
-        what: &'static str,
-    },
-    /// A device is connected, but the system denies access.
-    #[error("the {name} is connected but can not be opened: {why}")]
-    Refused {
-        /// Its name.
-        name: String,
-        /// The system's error, and the remedy.
-        why: String,
-    },
-    /// The library that lists the devices does not work here.
-    #[error("can not search for {what}s on this system: {why}")]
-    Library {
-        /// The kind of device.
-        what: &'static str,
-        /// The library's error.
-        why: String,
-    },
-    /// Invalid parameters.
-    #[error("{0}")]
-    Rate(String),
-    /// The system could not start a thread.
-    #[error("the system did not start a thread for the device: {0}")]
-    Thread(String),
+/// No device is connected; `what` is its kind.
+#[cfg(any(feature = "gamepad", feature = "spacemouse"))]
+pub(in crate::backend) fn not_found(what: &str) -> OpenError {
+    OpenError::new(format_args!(
+        "no {what} is connected; plug one in, or switch it on, and try again"
+    ))
 }
 
-impl From<BadRate> for OpenError {
-    fn from(bad: BadRate) -> Self {
-        Self::Rate(bad.to_string())
-    }
+/// The library that lists the devices does not work here.
+#[cfg(any(feature = "gamepad", feature = "spacemouse"))]
+pub(in crate::backend) fn no_search(what: &str, why: impl std::fmt::Display) -> OpenError {
+    OpenError::new(format_args!(
+        "can not search for {what}s on this system: {why}"
+    ))
 }
 
 /// A steered tool as a device. It senses and renders no force.
@@ -104,8 +80,11 @@ impl Steered {
         let steering = Steering::new(kind.rate, space.workspace, space.start)?;
         let (publisher, states) = line();
         let hint = Hint::default();
-        let driver = Driver::spawn(source, publisher, hint.clone())
-            .map_err(|e| OpenError::Thread(e.to_string()))?;
+        let driver = Driver::spawn(source, publisher, hint.clone()).map_err(|e| {
+            OpenError::new(format_args!(
+                "the system did not start a thread for the device: {e}"
+            ))
+        })?;
         Ok(Self {
             caps: DeviceCaps::without_motors(kind.name, kind.dof_in, space.workspace),
             steering,

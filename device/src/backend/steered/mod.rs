@@ -17,7 +17,9 @@ mod steering;
 mod tests;
 
 pub use controls::Controls;
-pub use device::{Kind, OpenError, Space, Steered};
+pub use device::{Kind, Space, Steered};
+#[cfg(any(feature = "gamepad", feature = "spacemouse"))]
+pub(super) use device::{no_search, not_found};
 pub use driver::{DeviceLost, REOPEN_EVERY, Source, SourceEvent};
 pub use rumble::Rumble;
-pub use steering::{BadRate, PAUSE_MAX_US, RateControl, Steering};
+pub use steering::{PAUSE_MAX_US, RateControl, Steering};

@@ -17,9 +17,9 @@
 //! is only for rounding.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use thiserror::Error;
 
-use crate::{DeviceTime, Faults, Pose, Workspace};
+use crate::error::check_ranges;
+use crate::{DeviceTime, Faults, OpenError, Pose, Workspace};
 
 /// Maximum pause between two readings that is integrated, µs. After a longer one the tool keeps its pose, at rest,
 /// and the sample carries [`Faults::TIME_JUMP`].
@@ -57,40 +57,17 @@ impl Default for RateControl {
     }
 }
 
-/// An invalid number of [`RateControl`].
-#[derive(Debug, Clone, Copy, PartialEq, Error)]
-#[error("{what} of the rate control is {found}, and must be a number from {least} to {most}")]
-pub struct BadRate {
-    /// Its name.
-    pub what: &'static str,
-    /// Its value.
-    pub found: f64,
-    /// The minimum.
-    pub least: f64,
-    /// The maximum.
-    pub most: f64,
-}
-
 impl RateControl {
     /// Checks the range of every number.
-    pub fn check(&self) -> Result<(), BadRate> {
-        for (what, found, least, most) in [
-            ("dead_zone", self.dead_zone, 0.0, 0.9),
-            ("exponent", self.exponent, 1.0, 4.0),
-            ("speed_m_per_s", self.speed_m_per_s, 1e-3, 1.0),
-            ("turn_rad_per_s", self.turn_rad_per_s, 1e-2, 10.0),
-            ("follow_s", self.follow_s, 0.01, 0.5),
-        ] {
-            if !(least..=most).contains(&found) {
-                return Err(BadRate {
-                    what,
-                    found,
-                    least,
-                    most,
-                });
-            }
-        }
-        Ok(())
+    pub fn check(&self) -> Result<(), OpenError> {
+        let numbers = [
+            ("dead_zone", self.dead_zone, 0.0..=0.9),
+            ("exponent", self.exponent, 1.0..=4.0),
+            ("speed_m_per_s", self.speed_m_per_s, 1e-3..=1.0),
+            ("turn_rad_per_s", self.turn_rad_per_s, 1e-2..=10.0),
+            ("follow_s", self.follow_s, 0.01..=0.5),
+        ];
+        check_ranges("the rate control", numbers)
     }
 
     /// The deflection `d` after dead zone and curve: a norm of 0 to 1, and zero for NaN.
@@ -117,7 +94,7 @@ pub struct Steering {
 
 impl Steering {
     /// A tool at rest at `start`, clamped to the workspace.
-    pub fn new(rate: RateControl, workspace: Workspace, start: Pose) -> Result<Self, BadRate> {
+    pub fn new(rate: RateControl, workspace: Workspace, start: Pose) -> Result<Self, OpenError> {
         rate.check()?;
         let within = start.position.sup(&workspace.min).inf(&workspace.max);
         Ok(Self {

@@ -11,8 +11,8 @@ use std::collections::{BTreeMap, BinaryHeap};
 use super::grid::Grid;
 use super::label::Labels;
 use super::lattice::{face_neighbours, pieces};
-use super::parts::root;
 use super::walls::{Share, Walls, in_margin};
+use crate::surface::Sets;
 
 /// A cell may carry a bridge only if the part fills at least this much of it.
 const FILLED_MIN: f64 = 0.01;
@@ -24,7 +24,7 @@ const LOOK_MAX: usize = 4096;
 /// Joins pieces of a region that are one part in the input; returns the number of bridges.
 pub(super) fn build_bridges(grid: &Grid, labels: &mut Labels, walls: &Walls) -> usize {
     let (mut piece_of, sizes) = pieces(grid, labels, |a, b| a == b);
-    let mut parent: Vec<u32> = (0..sizes.len() as u32).collect();
+    let mut joined = Sets::new(sizes.len());
     let mut bridges = 0;
     for own in torn(grid, labels, walls, &piece_of, &sizes) {
         for &piece in &own.pieces[1..] {
@@ -35,7 +35,7 @@ pub(super) fn build_bridges(grid: &Grid, labels: &mut Labels, walls: &Walls) -> 
                 own: &own,
                 piece_of: &piece_of,
             };
-            let Some(way) = search.way(&mut parent, piece) else {
+            let Some(way) = search.way(&mut joined, piece) else {
                 continue;
             };
             for cell in way {
@@ -143,16 +143,15 @@ impl PartialOrd for Reached {
 }
 
 impl Search<'_> {
-    /// The cells to give the region so that a piece of the part connects to another one, which `parent`
+    /// The cells to give the region so that a piece of the part connects to another one, which `joined`
     /// records. Empty when there is no path.
-    fn way(&self, parent: &mut [u32], piece: u32) -> Option<Vec<usize>> {
+    fn way(&self, joined: &mut Sets, piece: u32) -> Option<Vec<usize>> {
         let mut queue = BinaryHeap::new();
         let mut from: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
         for &cell in self.own.rims.get(&piece)? {
             from.insert(cell, (0.0, cell));
             queue.push(Reached { cost: 0.0, cell });
         }
-        let begun = root(parent, piece);
         let most = from.len() + LOOK_MAX;
         while let Some(Reached { cost, cell }) = queue.pop() {
             if from[&cell].0 < cost {
@@ -161,8 +160,7 @@ impl Search<'_> {
             for next in face_neighbours(self.grid, cell).into_iter().flatten() {
                 if self.labels.label[next] == self.own.label {
                     let found = self.piece_of[next];
-                    if self.own.pieces.contains(&found) && root(parent, found) != begun {
-                        parent[begun as usize] = root(parent, found);
+                    if self.own.pieces.contains(&found) && joined.join(piece, found) {
                         return Some(way_back(&from, cell));
                     }
                     continue;

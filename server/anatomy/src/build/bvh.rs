@@ -5,6 +5,7 @@
 //! triangles needs half a gigabyte.
 
 use palpate_tissue::Vec3;
+use palpate_tissue::nearest::{Feature, nearest_feature};
 
 /// Most triangles in a leaf.
 const LEAF: usize = 4;
@@ -191,9 +192,6 @@ impl Bvh {
         way: LineSide,
         mut each: impl FnMut(&Vec3, &[Vec3; 3]),
     ) {
-        if self.nodes.is_empty() {
-            return;
-        }
         let at = point - self.origin;
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         // Rounded outwards by one last digit, so that the boxes can be compared in single precision.
@@ -205,16 +203,39 @@ impl Bvh {
             LineSide::After => (d.next_down(), f32::INFINITY),
             LineSide::Both => (f32::NEG_INFINITY, f32::INFINITY),
         };
+        let misses = |n: &Node| {
+            n.low[u] > p1
+                || n.high[u] < p0
+                || n.low[v] > q1
+                || n.high[v] < q0
+                || n.low[axis] > last
+                || n.high[axis] < first
+        };
+        self.walk(misses, |index| {
+            let [a, b, c] = &self.triangles[index].corners;
+            let apart = a[u].max(b[u]).max(c[u]) < p0
+                || a[u].min(b[u]).min(c[u]) > p1
+                || a[v].max(b[v]).max(c[v]) < q0
+                || a[v].min(b[v]).min(c[v]) > q1;
+            if !apart {
+                each(&at, &[local(a), local(b), local(c)]);
+            }
+        });
+    }
+
+    /// Calls `each` with the number of every triangle in the leaves that `misses` rejects neither by themselves nor by
+    /// a node above them.
+    fn walk(&self, misses: impl Fn(&Node) -> bool, mut each: impl FnMut(usize)) {
+        if self.nodes.is_empty() {
+            return;
+        }
         let mut stack = [0_u32; DEPTH_MAX];
         let mut height = 1;
         while height > 0 {
             height -= 1;
             let index = stack[height];
             let node = &self.nodes[index as usize];
-            if node.low[u] > p1 || node.high[u] < p0 || node.low[v] > q1 || node.high[v] < q0 {
-                continue;
-            }
-            if node.low[axis] > last || node.high[axis] < first {
+            if misses(node) {
                 continue;
             }
             if node.count == 0 {
@@ -224,58 +245,28 @@ impl Bvh {
                 continue;
             }
             let start = node.start as usize;
-            for triangle in &self.triangles[start..start + node.count as usize] {
-                let [a, b, c] = &triangle.corners;
-                let apart = a[u].max(b[u]).max(c[u]) < p0
-                    || a[u].min(b[u]).min(c[u]) > p1
-                    || a[v].max(b[v]).max(c[v]) < q0
-                    || a[v].min(b[v]).min(c[v]) > q1;
-                if !apart {
-                    each(&at, &[local(a), local(b), local(c)]);
-                }
-            }
+            (start..start + node.count as usize).for_each(&mut each);
         }
     }
 
     /// Distance along `way` (m, from `from`) to the first triangle that it crosses, with the triangle's number;
     /// `None` without a crossing.
     pub(super) fn first_along(&self, from: &Vec3, way: &Vec3) -> Option<(f64, usize)> {
-        if self.nodes.is_empty() {
-            return None;
-        }
         let from = from - self.origin;
         let to = from + way;
         let (low, high) = (from.inf(&to), from.sup(&to));
+        let misses = |n: &Node| {
+            (0..3).any(|a| f64::from(n.low[a]) > high[a] || f64::from(n.high[a]) < low[a])
+        };
         let mut best: Option<(f64, usize)> = None;
-        let mut stack = [0_u32; DEPTH_MAX];
-        let mut height = 1;
-        while height > 0 {
-            height -= 1;
-            let index = stack[height];
-            let node = &self.nodes[index as usize];
-            let mut apart = false;
-            for a in 0..3 {
-                apart |= f64::from(node.low[a]) > high[a] || f64::from(node.high[a]) < low[a];
+        self.walk(misses, |index| {
+            let [a, b, c] = &self.triangles[index].corners;
+            if let Some(t) = crossing(&from, way, &[local(a), local(b), local(c)])
+                && best.is_none_or(|b| t < b.0)
+            {
+                best = Some((t, index));
             }
-            if apart {
-                continue;
-            }
-            if node.count == 0 {
-                stack[height] = node.start;
-                stack[height + 1] = index + 1;
-                height += 2;
-                continue;
-            }
-            let start = node.start as usize;
-            for index in start..start + node.count as usize {
-                let [a, b, c] = &self.triangles[index].corners;
-                if let Some(t) = crossing(&from, way, &[local(a), local(b), local(c)])
-                    && best.is_none_or(|b| t < b.0)
-                {
-                    best = Some((t, index));
-                }
-            }
-        }
+        });
         best.map(|(t, index)| (t * way.norm(), index))
     }
 }
@@ -371,41 +362,20 @@ fn split(triangles: &mut [Flat], triangle_base: usize, nodes: &mut [Node], node_
     nodes[0] = node;
 }
 
-/// The point of a triangle nearest to `p` (Ericson 2005, Real-Time Collision Detection, 5.1.5).
-fn nearest_on(p: &Vec3, [a, b, c]: &[Vec3; 3]) -> Vec3 {
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return *a;
-    }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return *b;
-    }
-    let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3 {
-        return a + ab * (d1 / (d1 - d3));
-    }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return *c;
-    }
-    let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 && d2 > d6 {
-        return a + ac * (d2 / (d2 - d6));
-    }
-    let va = d3 * d6 - d5 * d4;
-    let (e, f) = (d4 - d3, d5 - d6);
-    if va <= 0.0 && e >= 0.0 && f >= 0.0 && e + f > 0.0 {
-        return b + (c - b) * (e / (e + f));
-    }
-    let sum = va + vb + vc;
-    if sum > 0.0 {
-        a + ab * (vb / sum) + ac * (vc / sum)
-    } else {
-        *a
+/// The point of a triangle nearest to `p`.
+fn nearest_on(p: &Vec3, corners: &[Vec3; 3]) -> Vec3 {
+    let [a, b, c] = corners;
+    match nearest_feature(p, corners) {
+        Feature::Corner(i) => corners[i],
+        Feature::Edge(i, j, part) => corners[i] + (corners[j] - corners[i]) * part,
+        Feature::Face([va, vb, vc]) => {
+            let sum = va + vb + vc;
+            if sum > 0.0 {
+                a + (b - a) * (vb / sum) + (c - a) * (vc / sum)
+            } else {
+                *a
+            }
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! Comparing the finished model with its input.
 
 use palpate_tissue::cell::NO_CELL;
+use palpate_tissue::cell::scaled_jacobian;
 use palpate_tissue::{Model, RegionId, Vec3};
 use rayon::prelude::*;
 
@@ -8,9 +9,7 @@ use super::faces::{Face, OUTSIDE, volumes};
 use super::interface_samples::Sample;
 use super::layers::{Layers, surface_of};
 use super::patch::{Interface, Interfaces};
-use super::quality::{
-    CORNER_FLOOR, SPRING_FLOOR, passes, scaled_jacobian, shortest_spring, worst_corner,
-};
+use super::quality::{CORNER_FLOOR, SPRING_FLOOR, passes, shortest_spring, worst_corner};
 use super::report::{
     LayerReport, QualityReport, RegionReport, SpringCounts, SurfaceReport, report_triangles,
 };

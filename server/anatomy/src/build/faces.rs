@@ -21,7 +21,6 @@ pub(super) struct Face {
 }
 
 impl Face {
-    /// The interface that the face is part of.
     pub(super) fn interface(&self) -> Interface {
         if self.other == OUTSIDE {
             Interface::Outer
@@ -30,7 +29,6 @@ impl Face {
         }
     }
 
-    /// Positions of its corners.
     pub(super) fn corners(&self, positions: &[Vec3]) -> [Vec3; 4] {
         self.nodes.map(|n| positions[n as usize])
     }

@@ -59,7 +59,6 @@ impl Grid {
         at[0] + self.cells[0] * (at[1] + self.cells[1] * at[2])
     }
 
-    /// Number of cells.
     pub(super) fn cell_count(&self) -> usize {
         self.cells.iter().product()
     }

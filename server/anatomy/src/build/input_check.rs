@@ -6,9 +6,9 @@ use rayon::prelude::*;
 
 use super::inside::PointQuery;
 use super::lattice::Mending;
-use super::{BUILD_NODES_MAX, BuildError, GRID_CELLS_MAX, RegionReport};
+use super::{BUILD_NODES_MAX, GRID_CELLS_MAX, RegionReport};
 use crate::scene::SceneInput;
-use crate::{Aabb, Surface};
+use crate::{Aabb, InputError, Surface};
 
 /// Relative difference between the volume of a region and its input above which the report warns.
 const VOLUME_WARNING: f64 = 0.01;
@@ -25,11 +25,14 @@ const LARGE: f64 = 5.0;
 const SMALL: f64 = 0.003;
 
 /// Rejects input outside the allowed coordinates, and a spacing that exceeds the memory limits.
-pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), BuildError> {
+pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), InputError> {
     let bounds = Aabb::around(surfaces.iter().flat_map(|s| &s.vertices));
     let far = bounds.map_or(0.0, |b| b.min.abs().sup(&b.max.abs()).max());
     if far > POSITION_MAX_M {
-        return Err(BuildError::TooFar { far_m: far });
+        return Err(InputError::new(format_args!(
+            "the input reaches {far:.0} m from the origin, where a model may reach {POSITION_MAX_M} m; \
+             is its unit right? If it is in the frame of a site or a map, move it to the origin first"
+        )));
     }
     let extent = bounds.map_or_else(Vec3::zeros, |b| b.extent());
     let cells: f64 = extent.iter().map(|e| (e / spacing).ceil() + 2.0).product();
@@ -49,13 +52,12 @@ pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), BuildError
     } else {
         String::new()
     };
-    Err(BuildError::TooFine {
-        spacing_mm: spacing * 1e3,
-        nodes,
-        cells,
-        suggestion_mm,
-        hint,
-    })
+    Err(InputError::new(format_args!(
+        "a spacing of {} mm makes about {nodes:.0} nodes in a grid of {cells:.0} cells, above the \
+         limits of {BUILD_NODES_MAX:.0} nodes and {GRID_CELLS_MAX:.0} cells; use spacing_mm = \
+         {suggestion_mm:.2} or more{hint}",
+        spacing * 1e3
+    )))
 }
 
 /// Rejects regions that are far from all others, and warns of regions that stick out of the first one.
@@ -64,7 +66,7 @@ pub(super) fn nesting(
     spacing: f64,
     query: &PointQuery,
     warnings: &mut Vec<String>,
-) -> Result<(), BuildError> {
+) -> Result<(), InputError> {
     if input.voxels_m3.iter().all(Option::is_some) {
         // Regions of one label volume: the first surface goes around the others by construction.
         return Ok(());
@@ -80,11 +82,12 @@ pub(super) fn nesting(
         if gap > spacing {
             let side = |a: usize| format!("{:.0}..{:.0}", own.min[a] * 1e3, own.max[a] * 1e3);
             let at = format!("x {}, y {}, z {} mm", side(0), side(1), side(2));
-            return Err(BuildError::Outside {
-                region: name(r),
-                outermost: name(0),
-                at,
-            });
+            return Err(InputError::new(format_args!(
+                "region {:?} lies wholly outside the others, the outermost region {:?} among them (it \
+                 spans {at}); check its unit and whether all files are in one frame",
+                name(r),
+                name(0)
+            )));
         }
         let out = sticking_out(input, spacing, query, r);
         let all = surface.triangles.len();
@@ -140,7 +143,7 @@ fn sticking_out(input: &SceneInput, spacing: f64, query: &PointQuery, r: usize) 
 }
 
 /// The error for a spacing at which no cell is left.
-pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> BuildError {
+pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> InputError {
     let boxes = surfaces.iter().filter_map(|s| s.aabb());
     let extent = boxes.map(|b| b.extent().max()).fold(0.0, f64::max);
     let hint = if extent < SMALL {
@@ -148,11 +151,12 @@ pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> BuildError {
     } else {
         ""
     };
-    BuildError::TooCoarse {
-        spacing_mm: spacing * 1e3,
-        extent_mm: extent * 1e3,
-        hint: hint.to_owned(),
-    }
+    InputError::new(format_args!(
+        "a spacing of {} mm is too coarse: no cell of that size is half full of any region (the model \
+         is {:.2} mm across); use a smaller spacing_mm{hint}",
+        spacing * 1e3,
+        extent * 1e3
+    ))
 }
 
 /// Warns of changes to the labels.

@@ -84,7 +84,6 @@ pub(super) fn samples(
     samples
 }
 
-/// The model's own interface.
 fn model_surface(interface: Interface, faces: &[Face], positions: &[Vec3], middle: Vec3) -> Bvh {
     let triangles = faces
         .iter()

@@ -35,7 +35,6 @@ const PLACES_MAX: usize = 4096;
 /// A piece of a region that was given to its surroundings.
 #[derive(Debug, Clone)]
 pub(super) struct Crumb {
-    /// Its label.
     pub(super) label: u8,
     /// Its new label.
     pub(super) given: u8,
@@ -180,7 +179,6 @@ fn mend(grid: &Grid, labels: &mut Labels, walls: &Walls, mending: &mut Mending) 
     }
 }
 
-/// The blocks that a cell is in.
 fn blocks_of(grid: &Grid, cell: usize) -> impl Iterator<Item = [usize; 3]> + use<> {
     let (at, count) = (cell_at(grid, cell), grid.cells);
     let corner = move |c: usize| {

@@ -11,7 +11,7 @@
 
 use std::collections::VecDeque;
 
-use palpate_tissue::{Model, RegionId};
+use palpate_tissue::{Model, RegionId, Rows};
 
 use super::faces::{Face, OUTSIDE, faces};
 
@@ -59,49 +59,6 @@ impl Layers {
             layers.append(&mut found);
         }
         Self { layers }
-    }
-
-    /// Selects all nodes homogeneous with `node`, sorted. On an interface these are the nodes of all interfaces
-    /// that it lies on, elsewhere the inner nodes of its region. So a material or a property is given to a
-    /// tissue as a whole.
-    ///
-    /// # Panics
-    /// When the model has no such node.
-    pub fn homogeneous(&self, model: &Model, node: u32) -> Vec<u32> {
-        assert!((node as usize) < model.nodes.len(), "no node {node}");
-        let kind = |l: &Layer| (l.inside, l.outside);
-        let kinds: Vec<_> = self
-            .layers
-            .iter()
-            .filter(|l| l.nodes.contains(&node))
-            .map(kind)
-            .collect();
-        let mut selected: Vec<u32> = if kinds.is_empty() {
-            self.inner_nodes(model, node)
-        } else {
-            let of_kind = self.layers.iter().filter(|l| kinds.contains(&kind(l)));
-            of_kind.flat_map(|l| l.nodes.iter().copied()).collect()
-        };
-        selected.sort_unstable();
-        selected.dedup();
-        selected
-    }
-
-    /// The nodes of the region around `node` that lie on no interface.
-    fn inner_nodes(&self, model: &Model, node: u32) -> Vec<u32> {
-        let mut on_interface = vec![false; model.nodes.len()];
-        for layer in &self.layers {
-            for &n in &layer.nodes {
-                on_interface[n as usize] = true;
-            }
-        }
-        let own = model.cells.iter().find(|c| c.corners.contains(&node));
-        let region = own.map(|c| c.region);
-        let cells = model.cells.iter().filter(|c| Some(c.region) == region);
-        cells
-            .flat_map(|c| c.corners)
-            .filter(|n| !on_interface[*n as usize])
-            .collect()
     }
 }
 
@@ -184,8 +141,7 @@ fn march(model: &Model, faces: &[Face], group: &[u32], slots: &mut [u32]) -> Vec
 struct Neighbours {
     /// The nodes, in order; all other tables refer to positions in this list.
     nodes: Vec<u32>,
-    start: Vec<u32>,
-    entries: Vec<u32>,
+    rows: Rows<u32>,
 }
 
 impl Neighbours {
@@ -214,22 +170,11 @@ impl Neighbours {
         }
         pairs.sort_unstable();
         pairs.dedup();
-        let mut start = vec![0; nodes.len() + 1];
-        for pair in &pairs {
-            start[pair.0 as usize + 1] += 1;
-        }
-        for slot in 0..nodes.len() {
-            start[slot + 1] += start[slot];
-        }
-        Self {
-            nodes,
-            start,
-            entries: pairs.into_iter().map(|p| p.2).collect(),
-        }
+        let rows = Rows::new(nodes.len(), pairs.iter().map(|p| (p.0, p.2)));
+        Self { nodes, rows }
     }
 
     fn of(&self, node: u32) -> &[u32] {
-        let range = self.start[node as usize] as usize..self.start[node as usize + 1] as usize;
-        &self.entries[range]
+        self.rows.row(node)
     }
 }

@@ -44,20 +44,18 @@ mod untangle;
 mod volume_correction;
 mod walls;
 
-use thiserror::Error;
-
 pub use interface_samples::DISTANCE_REACH;
 pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
 pub(crate) use report::report_triangles;
 pub use report::{
     BarReport, BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
-    SurfaceReport, report_surface,
+    SurfaceReport,
 };
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 
 use crate::scene::SceneInput;
-use crate::{Aabb, Surface};
+use crate::{Aabb, InputError, Surface};
 use grid::Grid;
 use palpate_tissue::cell::NO_CELL;
 use palpate_tissue::{Model, TopologyHash, Vec3};
@@ -73,68 +71,6 @@ pub const BUILD_NODES_MAX: f64 = 8e6;
 /// A released node is reported when it is farther from its interface than this, in spacings.
 const STRAY: f64 = 0.25;
 
-/// Why a model could not be built.
-#[derive(Debug, Error)]
-pub enum BuildError {
-    /// A material of the scene is unknown or out of range.
-    #[error(transparent)]
-    Scene(#[from] crate::scene::SceneError),
-    /// The spacing is too fine for the memory limits.
-    #[error(
-        "a spacing of {spacing_mm} mm makes about {nodes:.0} nodes in a grid of {cells:.0} cells, \
-         above the limits of {BUILD_NODES_MAX:.0} nodes and {GRID_CELLS_MAX:.0} cells; \
-         use spacing_mm = {suggestion_mm:.2} or more{hint}"
-    )]
-    TooFine {
-        /// The spacing asked for.
-        spacing_mm: f64,
-        /// Nodes it would make.
-        nodes: f64,
-        /// Grid cells it would need.
-        cells: f64,
-        /// A spacing that fits.
-        suggestion_mm: f64,
-        /// Likely cause, or empty.
-        hint: String,
-    },
-    /// The input lies farther from the origin than a model may.
-    #[error(
-        "the input reaches {far_m:.0} m from the origin, where a model may reach {} m; is its unit \
-         right? If it is in the frame of a site or a map, move it to the origin first",
-        palpate_tissue::limits::POSITION_MAX_M
-    )]
-    TooFar {
-        /// Its largest coordinate in m.
-        far_m: f64,
-    },
-    /// No cell is at least half full.
-    #[error(
-        "a spacing of {spacing_mm} mm is too coarse: no cell of that size is half full of any \
-         region (the model is {extent_mm:.2} mm across); use a smaller spacing_mm{hint}"
-    )]
-    TooCoarse {
-        /// The spacing asked for.
-        spacing_mm: f64,
-        /// Largest extent of any surface.
-        extent_mm: f64,
-        /// Likely cause, or empty.
-        hint: String,
-    },
-    /// A region has nothing in common with the first one.
-    #[error(
-        "region {region:?} lies wholly outside the others, the outermost region {outermost:?} among \
-         them (it spans {at}); check its unit and whether all files are in one frame"
-    )]
-    Outside {
-        /// The region.
-        region: String,
-        /// The first region.
-        outermost: String,
-        /// Its bounding box in words.
-        at: String,
-    },
-}
-
 /// Receives the name of each stage as it begins and the part of the work done (0..1).
 pub type Progress<'a> = &'a mut dyn FnMut(&str, f64);
 
@@ -142,7 +78,7 @@ pub type Progress<'a> = &'a mut dyn FnMut(&str, f64);
 pub fn build(
     input: &SceneInput,
     progress: Progress<'_>,
-) -> Result<(Model, BuildReport), BuildError> {
+) -> Result<(Model, BuildReport), InputError> {
     let regions = input.scene.model_regions()?;
     let surfaces: Vec<&Surface> = input.surfaces.iter().collect();
     let mut warnings = input.warnings.clone();

@@ -91,7 +91,6 @@ impl Interfaces {
         }
     }
 
-    /// The patch of one interface.
     pub(super) fn patch(&self, interface: Interface) -> &Bvh {
         match interface {
             Interface::Outer => &self.outer,

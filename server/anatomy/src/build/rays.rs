@@ -5,7 +5,7 @@
 //! taken to be shifted by an infinitesimal (ε, ε²): two triangles that share an edge see the same
 //! shift, so every ray crosses a closed surface an even number of times, without exception.
 
-use palpate_tissue::Vec3;
+use palpate_tissue::{Rows, Vec3};
 use rayon::prelude::*;
 use robust::{Coord, orient2d};
 
@@ -51,7 +51,7 @@ impl Rays {
 }
 
 /// Intersection of a ray with a surface.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Hit {
     /// Coordinate along the ray in m.
     pub(super) depth: f64,
@@ -61,15 +61,12 @@ pub(super) struct Hit {
 
 /// The hits of all rays of a bundle with one surface, sorted along each ray.
 #[derive(Debug)]
-pub(super) struct Hits {
-    start: Vec<u32>,
-    hits: Vec<Hit>,
-}
+pub(super) struct Hits(Rows<Hit>);
 
 impl Hits {
     /// Hits of one ray, from low to high.
     pub(super) fn of(&self, ray: usize) -> &[Hit] {
-        &self.hits[self.start[ray] as usize..self.start[ray + 1] as usize]
+        self.0.row(ray as u32)
     }
 
     /// Calls `each` with every stretch of a ray that lies inside; see [`Winding`].
@@ -140,7 +137,10 @@ pub(super) fn cast(surface: &Surface, rays: &Rays) -> Hits {
             all.append(&mut more);
             all
         });
-    sort_by_ray(&found, rays.count[0] * rays.count[1])
+    let mut hits = Rows::new(rays.count[0] * rays.count[1], found.iter().copied());
+    // At equal depth the order must not depend on the thread that found a hit.
+    hits.sort_rows(|a, b| a.depth.total_cmp(&b.depth).then(b.turn.cmp(&a.turn)));
+    Hits(hits)
 }
 
 fn cast_triangle(corners: &[Vec3; 3], rays: &Rays, found: &mut Vec<(u32, Hit)>) {
@@ -209,35 +209,6 @@ fn depth_at(depths: &[f64; 3], weights: [f64; 3]) -> f64 {
     }
     let depth = (depths[0] * weights[0] + depths[1] * weights[1] + depths[2] * weights[2]) / sum;
     depth.clamp(low, high)
-}
-
-fn sort_by_ray(found: &[(u32, Hit)], rays: usize) -> Hits {
-    let mut start = vec![0_u32; rays + 1];
-    for (ray, _) in found {
-        start[*ray as usize + 1] += 1;
-    }
-    for ray in 0..rays {
-        start[ray + 1] += start[ray];
-    }
-    let mut next = start.clone();
-    let mut hits = vec![
-        Hit {
-            depth: 0.0,
-            turn: 0
-        };
-        found.len()
-    ];
-    for (ray, hit) in found {
-        let slot = &mut next[*ray as usize];
-        hits[*slot as usize] = *hit;
-        *slot += 1;
-    }
-    for ray in 0..rays {
-        // At equal depth the order must not depend on the thread that found a hit.
-        hits[start[ray] as usize..start[ray + 1] as usize]
-            .sort_unstable_by(|a, b| a.depth.total_cmp(&b.depth).then(b.turn.cmp(&a.turn)));
-    }
-    Hits { start, hits }
 }
 
 #[cfg(test)]

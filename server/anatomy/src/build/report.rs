@@ -1,10 +1,9 @@
 //! The report of a build.
 
-use palpate_tissue::Boundary;
 use serde::{Deserialize, Serialize};
 
-use super::parts::root;
 use super::thin::ThinParts;
+use crate::surface::{Edges, Sets};
 
 /// One object with the figures of a build.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -184,33 +183,18 @@ pub struct QualityReport {
     pub cells_flipped: usize,
 }
 
-/// Counts the vertices, edges and parts of the outer surface.
-pub fn report_surface(boundary: &Boundary) -> SurfaceReport {
-    report_triangles(&boundary.triangles)
-}
-
 /// Counts the vertices, edges and parts of a surface.
 pub(crate) fn report_triangles(triangles: &[[u32; 3]]) -> SurfaceReport {
-    let mut edges: Vec<[u32; 2]> = triangles
-        .iter()
-        .flat_map(|t| [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]])
-        .map(|[a, b]| [a.min(b), a.max(b)])
-        .collect();
-    edges.sort_unstable();
-    let closed = edges.chunk_by(|a, b| a == b).all(|uses| uses.len() == 2);
-    edges.dedup();
     let mut vertices: Vec<u32> = triangles.iter().flatten().copied().collect();
     vertices.sort_unstable();
     vertices.dedup();
     let slot = |v: u32| vertices.partition_point(|&w| w < v) as u32;
-    let mut parent: Vec<u32> = (0..vertices.len() as u32).collect();
+    let mut sets = Sets::new(vertices.len());
     let mut components = vertices.len();
-    for [a, b] in edges {
-        let (a, b) = (root(&mut parent, slot(a)), root(&mut parent, slot(b)));
-        if a != b {
-            parent[a.max(b) as usize] = a.min(b);
-            components -= 1;
-        }
+    let mut closed = true;
+    for uses in Edges::of(triangles).each() {
+        closed &= uses.len() == 2;
+        components -= usize::from(sets.join(slot(uses[0].low), slot(uses[0].high)));
     }
     SurfaceReport {
         vertices: vertices.len(),

@@ -33,7 +33,6 @@ pub(super) struct Segment {
 }
 
 impl Segment {
-    /// The point of the segment nearest to `point`.
     fn nearest(&self, point: &Vec3) -> Vec3 {
         let along = self.ends[1] - self.ends[0];
         let length = along.norm_squared();

@@ -7,9 +7,9 @@ use rayon::prelude::*;
 
 use super::grid::Grid;
 use super::label::Sweep;
-use super::parts::root;
 use super::rays::{Hits, Rays, cast};
 use crate::Surface;
+use crate::surface::Sets;
 
 /// Rays across a cell along x and along y.
 pub(super) const RAYS_PER_CELL: usize = 4;
@@ -82,29 +82,26 @@ impl Strands {
 
     /// Connects adjacent strands.
     fn join(&mut self) {
-        let mut parent: Vec<u32> = (0..self.all.len() as u32).collect();
+        let mut sets = Sets::new(self.all.len());
         for ray in 0..self.start.len() - 1 {
             if (ray + 1) % self.width != 0 {
-                self.join_rays(&mut parent, ray, ray + 1);
+                self.join_rays(&mut sets, ray, ray + 1);
             }
             if ray + self.width < self.start.len() - 1 {
-                self.join_rays(&mut parent, ray, ray + self.width);
+                self.join_rays(&mut sets, ray, ray + self.width);
             }
         }
-        for strand in 0..parent.len() as u32 {
-            parent[strand as usize] = root(&mut parent, strand);
-        }
-        self.parts = parent;
+        let all = 0..self.all.len() as u32;
+        self.parts = all.map(|strand| sets.find(strand)).collect();
     }
 
-    fn join_rays(&self, parent: &mut [u32], one: usize, other: usize) {
+    fn join_rays(&self, sets: &mut Sets, one: usize, other: usize) {
         let (one, other) = (self.range(one), self.range(other));
         let (mut a, mut b) = (one.start, other.start);
         while a < one.end && b < other.end {
             let (s, t) = (&self.all[a], &self.all[b]);
             if s.region == t.region && s.from.max(t.from) < s.to.min(t.to) {
-                let (s, t) = (root(parent, a as u32), root(parent, b as u32));
-                parent[s.max(t) as usize] = s.min(t);
+                sets.join(a as u32, b as u32);
             }
             if s.to < t.to {
                 a += 1;

@@ -81,8 +81,12 @@ fn assert_sound(model: &Model, report: &BuildReport) {
     assert_eq!(report.topology_hash, topology.hash().to_string());
     let kinds = report.springs;
     let sum = kinds.structural + kinds.shear + kinds.body_diagonal + kinds.layer;
-    assert_eq!(sum, topology.springs().count());
-    assert_eq!(report.outer_surface, report_surface(topology.boundary()));
+    let ends: usize = (0..topology.node_count() as u32)
+        .map(|n| topology.springs_of(n).len())
+        .sum();
+    assert_eq!(sum, ends / 2);
+    let outside = report_triangles(&topology.boundary().triangles);
+    assert_eq!(report.outer_surface, outside);
     let mass: f64 = (0..topology.node_count() as u32)
         .map(|n| topology.mass(n))
         .sum();
@@ -190,7 +194,7 @@ fn every_interface_has_one_layer_of_model_springs() {
     let topology = Topology::new(Arc::new(model.clone()));
     for layer in &layers.layers {
         for [a, b] in &layer.springs {
-            let row = topology.springs().row(*a);
+            let row = topology.springs_of(*a);
             assert!(row.iter().any(|s| s.to == *b), "{a} {b}");
         }
         let mut degree = std::collections::BTreeMap::<u32, usize>::new();
@@ -199,8 +203,6 @@ fn every_interface_has_one_layer_of_model_springs() {
         }
         assert_eq!(degree.len(), layer.nodes.len());
         assert!(degree.values().all(|d| (2..=12).contains(d)));
-        let all = layers.homogeneous(&model, layer.nodes[0]);
-        assert!(layer.nodes.iter().all(|n| all.binary_search(n).is_ok()));
     }
     for (r, region) in report.regions.iter().enumerate() {
         let triangles = region_surface(&model, palpate_tissue::RegionId(r as u16));
@@ -215,12 +217,6 @@ fn every_interface_has_one_layer_of_model_springs() {
             "{volume} {region:?}"
         );
     }
-    // An inner node selects the inner nodes of its own region.
-    let inner = (0..model.nodes.len() as u32)
-        .find(|n| layers.layers.iter().all(|l| !l.nodes.contains(n)))
-        .unwrap();
-    let selected = layers.homogeneous(&model, inner);
-    assert!(selected.contains(&inner) && selected.len() < model.nodes.len());
 }
 
 #[test]

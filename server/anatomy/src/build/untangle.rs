@@ -41,7 +41,6 @@ const NEWTON_STEPS: usize = 4;
 const MOVE_MAX: f64 = 0.25;
 /// Rounds in which nodes move half way back to their lattice points, each followed by sweeps.
 const HALVINGS: usize = 6;
-/// Sweeps after each of them.
 const SWEEPS_AFTER_HALVING: usize = 4;
 
 /// The cells around each node: slot `c` holds the cell of which it is corner `c`.

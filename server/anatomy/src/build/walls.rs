@@ -41,7 +41,6 @@ pub(super) struct Walls {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Share {
     cell: u32,
-    /// The region's label.
     pub(super) label: u8,
     /// Number of the part of the region; parts do not touch each other.
     pub(super) part: u32,

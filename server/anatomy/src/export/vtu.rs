@@ -123,7 +123,6 @@ fn plain(name: &str) -> String {
     visible.collect::<String>().replace('-', "_")
 }
 
-/// The number of each region's material.
 fn materials(model: &Model) -> Vec<i32> {
     let mut names: Vec<&str> = Vec::new();
     let number = |name| {

@@ -1,8 +1,13 @@
 //! From voxel indices to the world.
 
+use std::path::Path;
+
 use nalgebra::Matrix3;
 
 use palpate_tissue::Vec3;
+
+use super::volume::bad_orientation;
+use crate::InputError;
 
 /// Volume that the three steps span, relative to the product of their lengths, below which they lie
 /// in one plane. Reason: 1e-3 is a shear of 89.9 degrees, more than any scanner's table tilts.
@@ -39,8 +44,16 @@ impl Affine {
         a.dot(&b.cross(&c))
     }
 
+    /// The same, if it is usable; `from` names its origin in the file `path`.
+    pub(super) fn checked(self, path: &Path, from: &str) -> Result<Self, InputError> {
+        match self.fault() {
+            Some(what) => Err(bad_orientation(path, from, what)),
+            None => Ok(self),
+        }
+    }
+
     /// The defect that makes it unusable, if any.
-    pub(super) fn fault(&self) -> Option<String> {
+    fn fault(&self) -> Option<String> {
         let all = self.linear.iter().chain(self.origin.iter());
         if !all.into_iter().all(|x| x.is_finite()) {
             return Some("it holds a number that is infinite or not a number".into());

@@ -17,7 +17,6 @@
 mod affine;
 #[cfg(feature = "dicom")]
 mod dicom;
-mod error;
 mod extract;
 mod nifti;
 mod nrrd;
@@ -25,7 +24,6 @@ mod samples;
 mod volume;
 
 pub use affine::Affine;
-pub use error::LabelError;
 pub use extract::{LabelRegion, NET_VERTICES_MAX, RegionSurface, Sides, surfaces};
 pub use volume::LabelVolume;
 

@@ -11,10 +11,13 @@ use nalgebra::Matrix3;
 use palpate_tissue::Vec3;
 
 use super::samples::{Coding, Gather, SampleType, read_fully};
-use super::volume::{checked_size, drain, open, surplus};
-use super::{Affine, LabelError, LabelVolume};
+use super::volume::{
+    bad_orientation, broken, checked_size, drain, not_labels, not_one_volume, not_whole, open,
+    surplus, truncated,
+};
+use super::{Affine, LabelVolume};
+use crate::InputError;
 
-/// Bytes of the header.
 const HEADER_BYTES: usize = 348;
 /// The same number in a header of the second version.
 const HEADER_BYTES_2: i32 = 540;
@@ -27,15 +30,11 @@ const SPACING_MISMATCH: f64 = 0.01;
 const QUATERNION_SLACK: f64 = 1e-4;
 
 /// Reads a file.
-pub(super) fn read(path: &Path) -> Result<LabelVolume, LabelError> {
+pub(super) fn read(path: &Path) -> Result<LabelVolume, InputError> {
     let (file, bytes) = open(path)?;
     let mut file = BufReader::new(file);
     let mut start = [0; 2];
-    let io = |source| LabelError::Io {
-        path: path.to_owned(),
-        source,
-    };
-    let got = read_fully(&mut file, &mut start).map_err(io)?;
+    let got = read_fully(&mut file, &mut start).map_err(InputError::io(path))?;
     let mut all = start[..got].chain(file);
     // The content decides whether it is compressed; names are unreliable.
     if start == [0x1f, 0x8b] {
@@ -50,7 +49,7 @@ fn read_stream(
     path: &Path,
     from: &mut impl Read,
     bytes: Option<u64>,
-) -> Result<LabelVolume, LabelError> {
+) -> Result<LabelVolume, InputError> {
     let header = Header::read(path, from)?;
     let size = header.size()?;
     let coding = header.coding()?;
@@ -61,11 +60,11 @@ fn read_stream(
     let mut gather = Gather::new(path, size);
     if let Some(bytes) = bytes.filter(|b| *b < promised) {
         let data = bytes.saturating_sub((HEADER_BYTES + skip) as u64);
-        return Err(LabelError::Truncated {
-            path: path.to_owned(),
-            expected: voxels as u64,
-            found: data / coding.sample.bytes() as u64,
-        });
+        return Err(truncated(
+            path,
+            voxels as u64,
+            data / coding.sample.bytes() as u64,
+        ));
     }
     if let Some(left) = bytes
         .and_then(|b| b.checked_sub(promised))
@@ -96,11 +95,8 @@ struct Header<'a> {
 }
 
 impl<'a> Header<'a> {
-    fn read(path: &'a Path, from: &mut impl Read) -> Result<Self, LabelError> {
-        let not = |what: String| LabelError::NotALabelVolume {
-            path: path.to_owned(),
-            what,
-        };
+    fn read(path: &'a Path, from: &mut impl Read) -> Result<Self, InputError> {
+        let not = |what: String| not_labels(path, what);
         let mut bytes = [0; HEADER_BYTES];
         let got = read_fully(from, &mut bytes)
             .map_err(|e| not(format!("its first bytes can not be read ({e})")))?;
@@ -159,15 +155,11 @@ impl<'a> Header<'a> {
         f64::from(f32::from_le_bytes(self.four(at)))
     }
 
-    fn broken(&self, place: &str, what: String) -> LabelError {
-        LabelError::Broken {
-            path: self.path.to_owned(),
-            place: format!("NIfTI header, {place}"),
-            what,
-        }
+    fn broken(&self, place: &str, what: String) -> InputError {
+        broken(self.path, format!("NIfTI header, {place}"), what)
     }
 
-    fn size(&self) -> Result<[usize; 3], LabelError> {
+    fn size(&self) -> Result<[usize; 3], InputError> {
         let dim: [i16; 8] = std::array::from_fn(|i| self.i16(40 + 2 * i));
         if !(1..=7).contains(&dim[0]) {
             return Err(self.broken("dim[0]", format!("{} axes", dim[0])));
@@ -177,21 +169,21 @@ impl<'a> Header<'a> {
             return Err(self.broken(&format!("dim[{}]", a + 1), format!("{} voxels", axes[a])));
         }
         if let Some(a) = (3..axes.len()).find(|&a| axes[a] > 1) {
-            return Err(LabelError::Dimensions {
-                path: self.path.to_owned(),
-                what: format!(
+            return Err(not_one_volume(
+                self.path,
+                format!(
                     "{} axes, and the {} has {} entries: this is a series of volumes",
                     dim[0],
                     ["fourth", "fifth", "sixth", "seventh"][a - 3],
                     axes[a]
                 ),
-            });
+            ));
         }
         let at = |a: usize| axes.get(a).map_or(1, |n| *n as u64);
         checked_size(self.path, [at(0), at(1), at(2)])
     }
 
-    fn coding(&self) -> Result<Coding, LabelError> {
+    fn coding(&self) -> Result<Coding, InputError> {
         use SampleType::{F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
         let (code, bits) = (self.i16(70), self.i16(72));
         let sample = match code {
@@ -214,10 +206,7 @@ impl<'a> Header<'a> {
                     1536 => "128-bit floating point".into(),
                     n => format!("of a type NIfTI does not have (datatype {n})"),
                 };
-                return Err(LabelError::SampleType {
-                    path: self.path.to_owned(),
-                    what,
-                });
+                return Err(not_whole(self.path, what));
             }
         };
         if bits as usize != 8 * sample.bytes() {
@@ -235,7 +224,7 @@ impl<'a> Header<'a> {
     }
 
     /// Bytes between the header and the voxels.
-    fn skip(&self) -> Result<usize, LabelError> {
+    fn skip(&self) -> Result<usize, InputError> {
         let offset = f32::from_le_bytes(self.four(108));
         // Some programs write 0 in a single file; the voxels then follow the extension flag.
         let offset = if offset == 0.0 { 352.0 } else { offset };
@@ -247,7 +236,7 @@ impl<'a> Header<'a> {
     }
 
     /// Orientation, in m, and warnings about it.
-    fn to_world(&self) -> Result<(Affine, Vec<String>), LabelError> {
+    fn to_world(&self) -> Result<(Affine, Vec<String>), InputError> {
         let unit = match self.bytes[123] & 7 {
             1 => 1.0,
             3 => 1e-6,
@@ -291,24 +280,14 @@ impl<'a> Header<'a> {
             linear: in_unit.linear * unit,
             origin: in_unit.origin * unit,
         };
-        match affine.fault() {
-            Some(what) => Err(LabelError::Orientation {
-                path: self.path.to_owned(),
-                from: format!("header ({from})"),
-                what,
-            }),
-            None => Ok((affine, warnings)),
-        }
+        let affine = affine.checked(self.path, &format!("header ({from})"))?;
+        Ok((affine, warnings))
     }
 
     /// Rotation as a quaternion (a, b, c, d) with a from the others, the third axis mirrored when
     /// pixdim[0] is negative (method 2 of `nifti1.h`).
-    fn qform(&self, pixdim: [f64; 3]) -> Result<Affine, LabelError> {
-        let fault = |what: String| LabelError::Orientation {
-            path: self.path.to_owned(),
-            from: "header (qform)".into(),
-            what,
-        };
+    fn qform(&self, pixdim: [f64; 3]) -> Result<Affine, InputError> {
+        let fault = |what: String| bad_orientation(self.path, "header (qform)", what);
         if let Some(a) = pixdim.iter().position(|p| *p <= 0.0) {
             return Err(fault(format!("pixdim[{}] is {}", a + 1, pixdim[a])));
         }

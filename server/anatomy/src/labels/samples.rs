@@ -3,7 +3,8 @@
 use std::io::{ErrorKind, Read};
 use std::path::Path;
 
-use super::LabelError;
+use super::volume::{broken, truncated};
+use crate::InputError;
 
 /// Bytes decoded at a time; a multiple of every sample's size.
 const BLOCK_BYTES: usize = 1 << 16;
@@ -12,7 +13,6 @@ const BLOCK_BYTES: usize = 1 << 16;
 /// beyond this the memory grows with the actual data.
 const RESERVED: usize = 1 << 20;
 
-/// The type of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum SampleType {
     U8,
@@ -106,18 +106,19 @@ impl<'a> Gather<'a> {
     }
 
     /// Adds the next voxel's value.
-    pub(super) fn push(&mut self, value: f64) -> Result<(), LabelError> {
+    pub(super) fn push(&mut self, value: f64) -> Result<(), InputError> {
         if value >= 0.0 && value <= f64::from(u16::MAX) && value.trunc() == value {
             self.labels.push(value as u16);
             return Ok(());
         }
         let [nx, ny, _] = self.size;
         let at = self.labels.len();
-        Err(LabelError::Value {
-            path: self.path.to_owned(),
-            voxel: [at % nx, at / nx % ny, at / (nx * ny)],
-            value,
-        })
+        let (x, y, z) = (at % nx, at / nx % ny, at / (nx * ny));
+        let what = format!(
+            "voxel ({x}, {y}, {z}) holds {value}, which is no label; labels are whole numbers from 0 to \
+             65535; export the segmentation, not the image"
+        );
+        Err(InputError::of(self.path, what))
     }
 
     /// Adds `count` samples from a stream.
@@ -126,7 +127,7 @@ impl<'a> Gather<'a> {
         from: &mut impl Read,
         coding: Coding,
         count: usize,
-    ) -> Result<(), LabelError> {
+    ) -> Result<(), InputError> {
         let each = coding.sample.bytes();
         let mut block = vec![0; BLOCK_BYTES.min(count.max(1) * each)];
         let mut left = count * each;
@@ -148,7 +149,7 @@ impl<'a> Gather<'a> {
     }
 
     /// The labels, if none is missing.
-    pub(super) fn finish(self) -> Result<Vec<u16>, LabelError> {
+    pub(super) fn finish(self) -> Result<Vec<u16>, InputError> {
         if self.is_full() {
             Ok(self.labels)
         } else {
@@ -157,31 +158,24 @@ impl<'a> Gather<'a> {
     }
 
     /// Marks the end of the data.
-    pub(super) fn truncated(&self) -> LabelError {
-        LabelError::Truncated {
-            path: self.path.to_owned(),
-            expected: self.voxels() as u64,
-            found: self.labels.len() as u64,
-        }
+    pub(super) fn truncated(&self) -> InputError {
+        truncated(self.path, self.voxels() as u64, self.labels.len() as u64)
     }
 
     /// An error of the stream, with the number of voxels read.
-    pub(super) fn stream_error(&self, source: std::io::Error) -> LabelError {
+    pub(super) fn stream_error(&self, source: std::io::Error) -> InputError {
         match source.kind() {
             ErrorKind::UnexpectedEof => self.truncated(),
-            ErrorKind::InvalidData | ErrorKind::InvalidInput => LabelError::Broken {
-                path: self.path.to_owned(),
-                place: format!(
+            ErrorKind::InvalidData | ErrorKind::InvalidInput => broken(
+                self.path,
+                format!(
                     "compressed data after {} of {} voxels",
                     self.labels.len(),
                     self.voxels()
                 ),
-                what: source.to_string(),
-            },
-            _ => LabelError::Io {
-                path: self.path.to_owned(),
-                source,
-            },
+                source.to_string(),
+            ),
+            _ => InputError::io(self.path)(source),
         }
     }
 }

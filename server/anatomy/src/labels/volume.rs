@@ -1,13 +1,14 @@
 //! A label volume in memory, and the choice of the reader for a file.
 
+use std::fmt::Display;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use palpate_tissue::Vec3;
 
-use super::{Affine, EXTENT_RANGE_M, LabelError, VOXELS_MAX, nifti, nrrd};
-use crate::Aabb;
+use super::{Affine, EXTENT_RANGE_M, VOXELS_MAX, nifti, nrrd};
+use crate::{Aabb, InputError};
 
 /// Labels listed individually in a message; beyond it the message gives their number.
 const NAMED_MAX: usize = 24;
@@ -28,15 +29,13 @@ pub struct LabelVolume {
 impl LabelVolume {
     /// Reads a NIfTI-1 (`.nii`, `.nii.gz`) or NRRD (`.nrrd`, `.nhdr`) file, or a DICOM series (a
     /// folder, or one multi-frame file; needs the feature `dicom`). The extension decides.
-    pub fn read(path: &Path) -> Result<Self, LabelError> {
-        let io = |source| LabelError::Io {
-            path: path.to_owned(),
-            source,
-        };
+    pub fn read(path: &Path) -> Result<Self, InputError> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let name = name.to_lowercase();
         let is = |end: &str| name.ends_with(end);
-        let is_folder = std::fs::metadata(path).map_err(io)?.is_dir();
+        let is_folder = std::fs::metadata(path)
+            .map_err(InputError::io(path))?
+            .is_dir();
         let volume = if is_folder || is(".dcm") || is(".dicom") {
             read_dicom(path)?
         } else if is(".nii") || is(".nii.gz") {
@@ -44,10 +43,7 @@ impl LabelVolume {
         } else if is(".nrrd") || is(".nhdr") {
             nrrd::read(path)?
         } else {
-            return Err(LabelError::NotALabelVolume {
-                path: path.to_owned(),
-                what: "the extension is unknown".into(),
-            });
+            return Err(not_labels(path, "the extension is unknown"));
         };
         volume.refuse_unlikely_size(path)?;
         Ok(volume)
@@ -109,7 +105,7 @@ impl LabelVolume {
         }
     }
 
-    fn refuse_unlikely_size(&self, path: &Path) -> Result<(), LabelError> {
+    fn refuse_unlikely_size(&self, path: &Path) -> Result<(), InputError> {
         let spacing = self.to_world.spacing_m();
         let sides: [f64; 3] = std::array::from_fn(|a| spacing[a] * self.size[a] as f64);
         let longest = sides.into_iter().fold(0.0, f64::max);
@@ -122,66 +118,58 @@ impl LabelVolume {
             return Ok(());
         };
         let [x, y, z] = sides.map(|s| s * 1e3);
-        Err(LabelError::UnlikelySize {
-            path: path.to_owned(),
-            extent: format!("{x:.3} x {y:.3} x {z:.3} mm"),
-            guess,
-        })
+        let what = format!(
+            "the volume is {x:.3} x {y:.3} x {z:.3} mm: that looks like {guess}; correct the voxel size or its unit"
+        );
+        Err(InputError::of(path, what))
     }
 }
 
 #[cfg(feature = "dicom")]
-fn read_dicom(path: &Path) -> Result<LabelVolume, LabelError> {
+fn read_dicom(path: &Path) -> Result<LabelVolume, InputError> {
     super::dicom::read(path)
 }
 
 #[cfg(not(feature = "dicom"))]
-fn read_dicom(path: &Path) -> Result<LabelVolume, LabelError> {
-    Err(LabelError::WithoutDicom {
-        path: path.to_owned(),
-    })
+fn read_dicom(path: &Path) -> Result<LabelVolume, InputError> {
+    Err(InputError::new(format_args!(
+        "{} is a folder or a DICOM file: this program was built without the DICOM reader; build it with \
+         --features dicom, or convert the series to NIfTI or NRRD",
+        path.display()
+    )))
 }
 
 /// The size as `usize`, or an error when it exceeds the limit or is empty.
-pub(super) fn checked_size(path: &Path, size: [u64; 3]) -> Result<[usize; 3], LabelError> {
+pub(super) fn checked_size(path: &Path, size: [u64; 3]) -> Result<[usize; 3], InputError> {
     if size.contains(&0) {
-        return Err(LabelError::Dimensions {
-            path: path.to_owned(),
-            what: format!(
+        return Err(not_one_volume(
+            path,
+            format!(
                 "empty image of {} x {} x {} voxels",
                 size[0], size[1], size[2]
             ),
-        });
+        ));
     }
     let voxels = size.iter().try_fold(1_u64, |n, s| n.checked_mul(*s));
     if voxels.is_none_or(|v| v > VOXELS_MAX) {
-        return Err(LabelError::TooLarge {
-            path: path.to_owned(),
-            size,
-        });
+        let [x, y, z] = size;
+        let what = format!(
+            "{x} x {y} x {z} voxels, the limit is {VOXELS_MAX} in all; crop or resample the volume"
+        );
+        return Err(InputError::of(path, what));
     }
     Ok(size.map(|s| s as usize))
 }
 
 /// Opens a file; a folder is rejected here, because a read error would be less specific.
-pub(super) fn open(path: &Path) -> Result<(File, u64), LabelError> {
-    let io = |source| LabelError::Io {
-        path: path.to_owned(),
-        source,
-    };
-    let file = File::open(path).map_err(io)?;
-    let metadata = file.metadata().map_err(io)?;
+pub(super) fn open(path: &Path) -> Result<(File, u64), InputError> {
+    let file = File::open(path).map_err(InputError::io(path))?;
+    let metadata = file.metadata().map_err(InputError::io(path))?;
     if metadata.is_dir() {
-        return Err(LabelError::NotALabelVolume {
-            path: path.to_owned(),
-            what: "this is a folder".into(),
-        });
+        return Err(not_labels(path, "this is a folder"));
     }
     if !metadata.is_file() {
-        return Err(LabelError::NotALabelVolume {
-            path: path.to_owned(),
-            what: "this is a device or a pipe; give a file".into(),
-        });
+        return Err(not_labels(path, "this is a device or a pipe; give a file"));
     }
     Ok((file, metadata.len()))
 }
@@ -200,4 +188,50 @@ pub(super) fn drain(from: &mut impl Read) -> std::io::Result<()> {
     /// Bytes after the last voxel that are read. Reason: programs append some padding, not more.
     const TAIL_MAX: u64 = 1 << 20;
     std::io::copy(&mut from.take(TAIL_MAX), &mut std::io::sink()).map(drop)
+}
+
+/// A file of no known format.
+pub(super) fn not_labels(path: &Path, what: impl Display) -> InputError {
+    let give =
+        "give a NIfTI-1 (.nii, .nii.gz), an NRRD (.nrrd, .nhdr) or a folder with one DICOM series";
+    InputError::of(path, format_args!("{what}; {give}"))
+}
+
+/// Invalid content at a field, line or voxel.
+pub(super) fn broken(path: &Path, place: impl Display, what: impl Display) -> InputError {
+    InputError::of(
+        path,
+        format_args!("{place}: {what}; export the volume again"),
+    )
+}
+
+/// An image that is not a single volume.
+pub(super) fn not_one_volume(path: &Path, what: impl Display) -> InputError {
+    InputError::of(
+        path,
+        format_args!("{what}; export one label volume with three axes"),
+    )
+}
+
+/// Samples of a type that can not hold labels.
+pub(super) fn not_whole(path: &Path, what: impl Display) -> InputError {
+    let labels = "labels are whole numbers from 0 to 65535 (any integer type, or floating point with whole values)";
+    let what = format_args!("voxels are {what}; {labels}; export the segmentation, not the image");
+    InputError::of(path, what)
+}
+
+/// A transform to the world, from these fields of the header, that is not usable.
+pub(super) fn bad_orientation(path: &Path, from: impl Display, what: impl Display) -> InputError {
+    let remedy = "save the volume again with a proper orientation";
+    let what = format_args!("the orientation in the {from} is not usable: {what}; {remedy}");
+    InputError::of(path, what)
+}
+
+/// Fewer voxels than the header declares.
+pub(super) fn truncated(path: &Path, expected: u64, found: u64) -> InputError {
+    let what = format_args!(
+        "the data end after {found} of {expected} voxels; the file is cut short or its header is wrong; copy or \
+         export it again"
+    );
+    InputError::of(path, what)
 }

@@ -1,6 +1,5 @@
 //! A block cut from the anterior abdominal wall above the umbilicus (Lin 2007, fig. 3.1).
 //!
-//! X points to the left side of the body, Y to the front, Z up. From the front: skin, fat, the
 //! X points to the left side of the body, Y to the front, Z up. From the front: skin, fat, the rectus sheath
 //! (fascia) with the two rectus muscles in it and the linea alba between them, peritoneum. The block has a flat
 //! back and curves like the belly in front. The tissue behind the peritoneum holds the block, so the peritoneum
@@ -24,7 +23,6 @@ const PERITONEUM_MM: f64 = 4.0;
 const SHEATH_MM: f64 = 4.0;
 /// Thickness of a rectus muscle at its middle.
 const RECTUS_MM: f64 = 12.0;
-/// Half the width of a rectus muscle.
 const RECTUS_HALF_WIDTH_MM: f64 = 27.0;
 /// Half the width of the linea alba.
 const LINEA_ALBA_MM: f64 = 5.0;

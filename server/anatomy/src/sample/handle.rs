@@ -12,10 +12,8 @@ const STEP_MM: f64 = 2.0;
 const FINGER_MM: f64 = 22.0;
 /// Depth of a groove: the grip stays at least 3 mm thick over the core.
 const GROOVE_MM: f64 = 2.5;
-/// Number of fingers.
 const FINGERS: u32 = 4;
 
-/// Radius of the grip.
 fn grip_radius(z: f64, theta: f64) -> f64 {
     let belly = 16.0 + 1.5 * bell(z, 0.45 * LENGTH_MM, 40.0);
     let oval = 1.0 + 0.08 * (2.0 * theta).cos();

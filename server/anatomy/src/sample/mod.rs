@@ -16,11 +16,11 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use palpate_tissue::material::{MaterialOverride, nearest_name};
-use palpate_tissue::{WriteError, write_file};
-use thiserror::Error;
+use palpate_tissue::write_file;
 
-use crate::scene::{RegionSource, Scene, SceneError, SceneInput, SceneRegion};
-use crate::surface::{Surface, SurfaceError, Unit};
+use crate::InputError;
+use crate::scene::{RegionSource, Scene, SceneInput, SceneRegion};
+use crate::surface::{Surface, Unit};
 
 /// A built-in sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -36,40 +36,6 @@ pub enum Sample {
     Leg,
     /// A product: a soft grip with finger grooves around a hard core (Lin 2007, fig. 7.2). 2 mm.
     Handle,
-}
-
-/// The reason why a sample was not made.
-#[derive(Debug, Error)]
-pub enum SampleError {
-    /// No sample of that name.
-    #[error(
-        "no sample \"{name}\"{}; samples are {}",
-        nearest.map(|n| format!(", did you mean \"{n}\"?")).unwrap_or_default(),
-        Sample::ALL.map(Sample::name).join(", ")
-    )]
-    Unknown {
-        /// The name asked for.
-        name: String,
-        /// The most similar sample.
-        nearest: Option<&'static str>,
-    },
-    /// A file of that name exists already.
-    #[error("{} exists already; choose another folder, or allow overwriting", .0.display())]
-    Exists(PathBuf),
-    /// The operating system rejected the write.
-    #[error("{}: {source}; check that the folder can be written", path.display())]
-    Io {
-        /// The folder or file.
-        path: PathBuf,
-        /// The error of the operating system.
-        source: std::io::Error,
-    },
-    /// The scene could not be written.
-    #[error(transparent)]
-    Write(#[from] WriteError),
-    /// A surface could not be written.
-    #[error(transparent)]
-    Surface(#[from] SurfaceError),
 }
 
 /// A generated scene with its surfaces, before it is written or built.
@@ -137,7 +103,7 @@ impl Sample {
     }
 
     /// Generates the input of the builder, without files.
-    pub fn input(self) -> Result<SceneInput, SceneError> {
+    pub fn input(self) -> Result<SceneInput, InputError> {
         let files = self.generate();
         SceneInput::new(
             files.scene,
@@ -147,15 +113,21 @@ impl Sample {
 }
 
 impl FromStr for Sample {
-    type Err = SampleError;
+    type Err = InputError;
 
-    fn from_str(name: &str) -> Result<Self, SampleError> {
+    fn from_str(name: &str) -> Result<Self, InputError> {
         Self::ALL
             .into_iter()
             .find(|s| s.name() == name)
-            .ok_or_else(|| SampleError::Unknown {
-                name: name.to_owned(),
-                nearest: nearest_name(name, Self::ALL.map(Self::name)),
+            .ok_or_else(|| {
+                let names = Self::ALL.map(Self::name);
+                let nearest = nearest_name(name, names);
+                let hint = nearest.map(|n| format!(", did you mean \"{n}\"?"));
+                InputError::new(format_args!(
+                    "no sample \"{name}\"{}; samples are {}",
+                    hint.unwrap_or_default(),
+                    names.join(", ")
+                ))
             })
     }
 }
@@ -169,12 +141,13 @@ impl std::fmt::Display for Sample {
 impl SampleFiles {
     /// Writes the scene and its surfaces (binary STL in millimetres) into `dir`, which is made if it does not
     /// exist. Without `overwrite`, nothing is written if one of the files exists. Returns the scene file.
-    pub fn write(&self, dir: &Path, overwrite: bool) -> Result<PathBuf, SampleError> {
-        let io = |path: &Path| {
-            let path = path.to_owned();
-            move |source| SampleError::Io { path, source }
-        };
-        std::fs::create_dir_all(dir).map_err(io(dir))?;
+    pub fn write(&self, dir: &Path, overwrite: bool) -> Result<PathBuf, InputError> {
+        std::fs::create_dir_all(dir).map_err(|e| {
+            InputError::of(
+                dir,
+                format_args!("{e}; check that the folder can be written"),
+            )
+        })?;
         let scene = dir.join(&self.scene_file);
         if !overwrite {
             let names = self.surfaces.iter().map(|(name, _)| dir.join(name));
@@ -182,7 +155,10 @@ impl SampleFiles {
                 .chain(names)
                 .find(|p| p.symlink_metadata().is_ok())
             {
-                return Err(SampleError::Exists(path));
+                return Err(InputError::new(format_args!(
+                    "{} exists already; choose another folder, or allow overwriting",
+                    path.display()
+                )));
             }
         }
         for (name, surface) in &self.surfaces {

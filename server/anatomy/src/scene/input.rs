@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{RegionSource, Scene, SceneError};
+use super::{RegionSource, Scene};
+use crate::InputError;
 use crate::labels::{self, LabelRegion, LabelVolume, Sides};
 use crate::surface::Surface;
 
@@ -31,7 +32,7 @@ pub struct SceneInput {
 impl SceneInput {
     /// Reads a scene file and every surface and label volume it names. Surfaces are checked, and those of
     /// labelled regions are extracted.
-    pub fn load(path: &Path) -> Result<Self, SceneError> {
+    pub fn load(path: &Path) -> Result<Self, InputError> {
         let scene = Scene::load(path)?;
         let mut input = Self {
             surfaces: vec![Surface::default(); scene.regions.len()],
@@ -44,7 +45,7 @@ impl SceneInput {
             if let RegionSource::Surface { unit, .. } = r.source {
                 let file = input.scene.source_path(region);
                 input.surfaces[region] = Surface::read(&file, unit)
-                    .map_err(|source| SceneError::Surface(r.name.clone(), source))?;
+                    .map_err(|e| InputError::new(format_args!("region \"{}\": {e}", r.name)))?;
             }
         }
         for volume in label_files(&input.scene) {
@@ -58,7 +59,7 @@ impl SceneInput {
     ///
     /// # Panics
     /// When there is not exactly one surface per region.
-    pub fn new(scene: Scene, surfaces: Vec<Surface>) -> Result<Self, SceneError> {
+    pub fn new(scene: Scene, surfaces: Vec<Surface>) -> Result<Self, InputError> {
         assert_eq!(
             scene.regions.len(),
             surfaces.len(),
@@ -77,16 +78,18 @@ impl SceneInput {
 
     /// Checks the surfaces from files. Surfaces extracted from labels are closed and wound by construction, so
     /// checking the nesting of their parts would only cost time.
-    fn check(&mut self) -> Result<(), SceneError> {
+    fn check(&mut self) -> Result<(), InputError> {
         for (r, surface) in self.surfaces.iter_mut().enumerate() {
             let region = &self.scene.regions[r];
             if matches!(region.source, RegionSource::Labels { .. }) {
                 continue;
             }
-            let report = surface.check().map_err(|source| SceneError::Check {
-                region: region.name.clone(),
-                path: self.scene.source_path(r),
-                source,
+            let report = surface.check().map_err(|e| {
+                let (name, path) = (&region.name, self.scene.source_path(r));
+                InputError::new(format_args!(
+                    "region \"{name}\", surface {}: {e}",
+                    path.display()
+                ))
             })?;
             let (name, file) = (&region.name, region.source.file().display());
             let say = |w: &String| format!("{name} ({file}): {w}");
@@ -96,7 +99,7 @@ impl SceneInput {
     }
 
     /// Extracts the surfaces of all regions that come from one label volume.
-    fn extract(&mut self, file: &Path) -> Result<(), SceneError> {
+    fn extract(&mut self, file: &Path) -> Result<(), InputError> {
         let path = self.scene.base.join(file);
         let mut members = Vec::new();
         let mut regions = Vec::new();

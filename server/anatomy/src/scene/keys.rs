@@ -1,15 +1,12 @@
 //! Walking a parsed TOML table key by key, with the line of every error.
 
+use std::fmt::Display;
+
 use palpate_tissue::material::nearest_name;
 use toml::de::{DeTable, DeValue};
 use toml::{Spanned, de};
 
-use super::SceneError;
-
-/// The line, counted from 1, of the text after the given prefix.
-pub(super) fn line_after(before: &[u8]) -> usize {
-    before.split(|b| *b == b'\n').count()
-}
+use crate::InputError;
 
 /// The text being read and its name in messages.
 pub(super) struct Text<'i> {
@@ -19,21 +16,18 @@ pub(super) struct Text<'i> {
 
 impl<'i> Text<'i> {
     /// An error at a byte of the text.
-    pub(super) fn error(&self, at: usize, what: impl Into<String>) -> SceneError {
+    pub(super) fn error(&self, at: usize, what: impl Display) -> InputError {
         let before = self
             .text
             .as_bytes()
             .get(..at)
             .unwrap_or(self.text.as_bytes());
-        SceneError::Line {
-            file: self.file.clone(),
-            line: line_after(before),
-            what: what.into(),
-        }
+        let line = before.split(|b| *b == b'\n').count();
+        InputError::new(format_args!("{}, line {line}: {what}", self.file))
     }
 
     /// An error of the TOML parser.
-    pub(super) fn syntax(&self, e: &de::Error) -> SceneError {
+    pub(super) fn syntax(&self, e: &de::Error) -> InputError {
         let at = e.span().map_or(0, |s| s.start);
         self.error(
             at,
@@ -47,7 +41,7 @@ impl<'i> Text<'i> {
         table: &DeTable<'i>,
         known: &[&str],
         place: &str,
-    ) -> Result<(), SceneError> {
+    ) -> Result<(), InputError> {
         let stray = table
             .iter()
             .filter(|(key, _)| !known.contains(&key.get_ref().as_ref()))
@@ -64,12 +58,11 @@ impl<'i> Text<'i> {
         ))
     }
 
-    /// A string.
     pub(super) fn string(
         &self,
         key: &str,
         value: &Spanned<DeValue<'i>>,
-    ) -> Result<String, SceneError> {
+    ) -> Result<String, InputError> {
         value
             .get_ref()
             .as_str()
@@ -82,7 +75,7 @@ impl<'i> Text<'i> {
         &self,
         key: &str,
         value: &Spanned<DeValue<'i>>,
-    ) -> Result<f64, SceneError> {
+    ) -> Result<f64, InputError> {
         let number = match value.get_ref() {
             DeValue::Float(f) => f.as_str().parse().ok(),
             DeValue::Integer(i) if i.radix() == 10 => i.as_str().parse().ok(),
@@ -91,12 +84,11 @@ impl<'i> Text<'i> {
         number.ok_or_else(|| self.kind(key, value, "a number"))
     }
 
-    /// A boolean.
     pub(super) fn boolean(
         &self,
         key: &str,
         value: &Spanned<DeValue<'i>>,
-    ) -> Result<bool, SceneError> {
+    ) -> Result<bool, InputError> {
         let known = value.get_ref().as_bool();
         known.ok_or_else(|| self.kind(key, value, "true or false"))
     }
@@ -107,27 +99,26 @@ impl<'i> Text<'i> {
         key: &str,
         value: &'a Spanned<DeValue<'i>>,
         wanted: &str,
-    ) -> Result<&'a [Spanned<DeValue<'i>>], SceneError> {
+    ) -> Result<&'a [Spanned<DeValue<'i>>], InputError> {
         match value.get_ref() {
             DeValue::Array(array) => Ok(array),
             _ => Err(self.kind(key, value, wanted)),
         }
     }
 
-    /// A table.
     pub(super) fn table<'a>(
         &self,
         key: &str,
         value: &'a Spanned<DeValue<'i>>,
         wanted: &str,
-    ) -> Result<&'a DeTable<'i>, SceneError> {
+    ) -> Result<&'a DeTable<'i>, InputError> {
         match value.get_ref() {
             DeValue::Table(table) => Ok(table),
             _ => Err(self.kind(key, value, wanted)),
         }
     }
 
-    fn kind(&self, key: &str, value: &Spanned<DeValue<'i>>, wanted: &str) -> SceneError {
+    fn kind(&self, key: &str, value: &Spanned<DeValue<'i>>, wanted: &str) -> InputError {
         let found = value.get_ref().type_str();
         self.error(
             value.span().start,

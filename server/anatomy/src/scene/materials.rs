@@ -7,8 +7,8 @@ use palpate_tissue::{FibreAxis, Material};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::SceneError;
 use super::keys::Text;
+use crate::InputError;
 
 /// Keys that change a material, in `[material.NAME]` and in `[[region]]` alike.
 pub(super) const MATERIAL_KEYS: [&str; 11] = [
@@ -29,7 +29,7 @@ pub(super) const MATERIAL_KEYS: [&str; 11] = [
 pub(super) fn materials(
     text: &Text,
     root: &DeTable,
-) -> Result<BTreeMap<String, MaterialOverride>, SceneError> {
+) -> Result<BTreeMap<String, MaterialOverride>, InputError> {
     let Some(value) = root.get("material") else {
         return Ok(BTreeMap::new());
     };
@@ -53,7 +53,7 @@ pub(super) fn materials(
 }
 
 /// The values of the [`MATERIAL_KEYS`] in a table; other keys are checked by the caller.
-pub(super) fn change(text: &Text, table: &DeTable) -> Result<MaterialOverride, SceneError> {
+pub(super) fn change(text: &Text, table: &DeTable) -> Result<MaterialOverride, InputError> {
     let number = |key: &str| table.get(key).map(|v| text.number(key, v)).transpose();
     Ok(MaterialOverride {
         young_pa: number("young_kpa")?.map(|kpa| kpa * 1e3),
@@ -73,7 +73,7 @@ pub(super) fn change(text: &Text, table: &DeTable) -> Result<MaterialOverride, S
     })
 }
 
-fn fibres(text: &Text, value: &Spanned<DeValue>) -> Result<FibreAxis, SceneError> {
+fn fibres(text: &Text, value: &Spanned<DeValue>) -> Result<FibreAxis, InputError> {
     const WANTED: &str = "\"long\" (the region's long axis) or a direction such as [0.0, 0.0, 1.0]";
     let refuse = |found: String| {
         let what = format!("\"fibres\" must be {WANTED}, not {found}");

@@ -56,7 +56,6 @@
 //! | `friction_static` | coefficient of static friction against a tool | 0 to 5 | 0.4 |
 //! | `friction_dynamic` | of dynamic friction; not above the static one | 0 to 5 | 0.3 |
 
-mod error;
 mod input;
 mod keys;
 mod materials;
@@ -64,7 +63,6 @@ mod parse;
 mod source;
 mod write;
 
-pub use error::SceneError;
 pub use input::SceneInput;
 pub use source::RegionSource;
 
@@ -73,6 +71,8 @@ use std::path::PathBuf;
 
 use palpate_tissue::material::MaterialOverride;
 use palpate_tissue::{Material, Region};
+
+use crate::InputError;
 
 /// The one format this version reads and writes.
 pub const SCENE_FORMAT: &str = "palpate-scene/1";
@@ -130,20 +130,19 @@ impl Scene {
     }
 
     /// The material a region is filled with, overrides applied.
-    pub fn material(&self, region: usize) -> Result<Material, SceneError> {
+    pub fn material(&self, region: usize) -> Result<Material, InputError> {
         let SceneRegion {
             material: name,
             change,
             ..
         } = &self.regions[region];
-        Material::resolve(name, self.materials.get(name))
-            .and_then(|m| m.with(change, "changed for this region"))
-            .map_err(SceneError::Material)
+        let material = Material::resolve(name, self.materials.get(name))?;
+        Ok(material.with(change, "changed for this region")?)
     }
 
     /// The regions of a [`palpate_tissue::Model`], before it has cells to compute fibre directions from; see
     /// [`palpate_tissue::Model::resolve_fibres`].
-    pub fn model_regions(&self) -> Result<Vec<Region>, SceneError> {
+    pub fn model_regions(&self) -> Result<Vec<Region>, InputError> {
         (0..self.regions.len())
             .map(|r| {
                 let name = self.regions[r].name.clone();

@@ -9,12 +9,12 @@ use palpate_tissue::material::{MaterialOverride, nearest_name};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::keys::{Text, line_after};
+use super::keys::Text;
 use super::materials::{MATERIAL_KEYS, change, materials};
 use super::{
-    GRAVITY_MAX_M_S2, REGIONS_MAX, RegionSource, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneError,
-    SceneRegion,
+    GRAVITY_MAX_M_S2, REGIONS_MAX, RegionSource, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneRegion,
 };
+use crate::InputError;
 use crate::surface::Unit;
 
 const SCENE_KEYS: [&str; 8] = [
@@ -31,38 +31,34 @@ const REGION_KEYS: [&str; 6] = ["name", "surface", "label", "labels", "material"
 
 impl Scene {
     /// Reads a scene file without its surfaces; [`super::SceneInput::load`] reads those.
-    pub fn load(path: &Path) -> Result<Self, SceneError> {
-        let io = |source| SceneError::Io {
-            path: path.to_owned(),
-            source,
-        };
-        let file = std::fs::File::open(path).map_err(io)?;
+    pub fn load(path: &Path) -> Result<Self, InputError> {
+        let file = std::fs::File::open(path).map_err(InputError::io(path))?;
         let mut bytes = Vec::new();
         file.take(SCENE_BYTES_MAX + 1)
             .read_to_end(&mut bytes)
-            .map_err(io)?;
+            .map_err(InputError::io(path))?;
         if bytes.len() as u64 > SCENE_BYTES_MAX {
             let bytes = std::fs::metadata(path).map_or(bytes.len() as u64, |m| m.len());
-            return Err(SceneError::TooManyBytes {
-                path: path.to_owned(),
-                bytes,
-            });
+            let what = format_args!(
+                "{bytes} bytes, a scene has at most {SCENE_BYTES_MAX}; is this a surface or a model? A \
+                 scene is a TOML text that begins with format = \"{SCENE_FORMAT}\""
+            );
+            return Err(InputError::of(path, what));
         }
         let base = path.parent().unwrap_or(Path::new("")).to_owned();
         let file = path.display().to_string();
         let text = String::from_utf8(bytes).map_err(|e| {
             let valid = &e.as_bytes()[..e.utf8_error().valid_up_to()];
-            SceneError::Line {
-                file: file.clone(),
-                line: line_after(valid),
-                what: "this is not a text in UTF-8; a scene is a TOML text".to_owned(),
-            }
+            let line = valid.split(|b| *b == b'\n').count();
+            InputError::new(format_args!(
+                "{file}, line {line}: this is not a text in UTF-8; a scene is a TOML text"
+            ))
         })?;
         read(&Text { file, text: &text }, base)
     }
 
     /// Reads a scene from a text; surfaces are relative to `base`.
-    pub fn parse(text: &str, base: &Path) -> Result<Self, SceneError> {
+    pub fn parse(text: &str, base: &Path) -> Result<Self, InputError> {
         read(
             &Text {
                 file: "scene".to_owned(),
@@ -73,7 +69,7 @@ impl Scene {
     }
 }
 
-fn read(text: &Text, base: PathBuf) -> Result<Scene, SceneError> {
+fn read(text: &Text, base: PathBuf) -> Result<Scene, InputError> {
     let document = DeTable::parse(text.text).map_err(|e| text.syntax(&e))?;
     let root = document.get_ref();
     refuse_other_formats(text, root)?;
@@ -94,7 +90,7 @@ fn read(text: &Text, base: PathBuf) -> Result<Scene, SceneError> {
 }
 
 /// The format is checked first: a scene of another version may have unknown keys.
-fn refuse_other_formats(text: &Text, root: &DeTable) -> Result<(), SceneError> {
+fn refuse_other_formats(text: &Text, root: &DeTable) -> Result<(), InputError> {
     let Some(format) = root.get("format") else {
         let what =
             format!("\"format\" is missing; a scene begins with format = \"{SCENE_FORMAT}\"");
@@ -110,7 +106,7 @@ fn refuse_other_formats(text: &Text, root: &DeTable) -> Result<(), SceneError> {
 }
 
 /// The spacing in m; or the least spacing, and that the builder determines it.
-fn spacing(text: &Text, root: &DeTable) -> Result<(f64, bool), SceneError> {
+fn spacing(text: &Text, root: &DeTable) -> Result<(f64, bool), InputError> {
     let Some(value) = root.get("spacing_mm") else {
         let what = "\"spacing_mm\" is missing; add, say, spacing_mm = 4.0 or spacing_mm = \"auto\"";
         return Err(text.error(0, what));
@@ -139,7 +135,7 @@ fn regions(
     text: &Text,
     root: &DeTable,
     materials: &BTreeMap<String, MaterialOverride>,
-) -> Result<Vec<SceneRegion>, SceneError> {
+) -> Result<Vec<SceneRegion>, InputError> {
     let labels = match root.get("labels") {
         Some(value) => Some(filled(text, "labels", value)?),
         None => None,
@@ -176,7 +172,7 @@ fn region(
     value: &Spanned<DeValue>,
     materials: &BTreeMap<String, MaterialOverride>,
     labels: Option<&str>,
-) -> Result<SceneRegion, SceneError> {
+) -> Result<SceneRegion, InputError> {
     let table = text.table("region", value, "a table that begins with [[region]]")?;
     let known = [REGION_KEYS.as_slice(), &MATERIAL_KEYS].concat();
     text.refuse_unknown(table, &known, "in [[region]]")?;
@@ -210,7 +206,7 @@ fn needed(
     region: &Spanned<DeValue>,
     table: &DeTable,
     key: &str,
-) -> Result<(String, usize), SceneError> {
+) -> Result<(String, usize), InputError> {
     let Some(value) = table.get(key) else {
         let what = format!("this [[region]] has no \"{key}\"; add {key} = \"...\"");
         return Err(text.error(region.span().start, what));
@@ -219,7 +215,7 @@ fn needed(
 }
 
 /// A text that is not empty.
-fn filled(text: &Text, key: &str, value: &Spanned<DeValue>) -> Result<String, SceneError> {
+fn filled(text: &Text, key: &str, value: &Spanned<DeValue>) -> Result<String, InputError> {
     let string = text.string(key, value)?;
     if string.is_empty() {
         return Err(text.error(value.span().start, format!("\"{key}\" is empty")));
@@ -233,7 +229,7 @@ fn source(
     region: &Spanned<DeValue>,
     table: &DeTable,
     labels: Option<&str>,
-) -> Result<RegionSource, SceneError> {
+) -> Result<RegionSource, InputError> {
     let start = |key: &str| table.get_key_value(key).map(|(key, _)| key.span().start);
     let Some(label) = table.get("label") else {
         if let Some(at) = start("labels") {
@@ -271,7 +267,7 @@ fn source(
     })
 }
 
-fn label_numbers(text: &Text, value: &Spanned<DeValue>) -> Result<Vec<u16>, SceneError> {
+fn label_numbers(text: &Text, value: &Spanned<DeValue>) -> Result<Vec<u16>, InputError> {
     let one = |value: &Spanned<DeValue>| {
         let number = text.number("label", value)?;
         if number >= 0.0 && number <= f64::from(u16::MAX) && number.trunc() == number {
@@ -289,7 +285,7 @@ fn label_numbers(text: &Text, value: &Spanned<DeValue>) -> Result<Vec<u16>, Scen
     list.iter().map(one).collect()
 }
 
-fn unit(text: &Text, table: &DeTable) -> Result<Unit, SceneError> {
+fn unit(text: &Text, table: &DeTable) -> Result<Unit, InputError> {
     let Some(value) = table.get("unit") else {
         return Ok(Unit::default());
     };
@@ -304,7 +300,7 @@ fn unit(text: &Text, table: &DeTable) -> Result<Unit, SceneError> {
 }
 
 /// Gravity in m/s²; a model under gravity needs a pinned region.
-fn gravity(text: &Text, root: &DeTable, is_pinned: bool) -> Result<[f64; 3], SceneError> {
+fn gravity(text: &Text, root: &DeTable, is_pinned: bool) -> Result<[f64; 3], InputError> {
     const KEY: &str = "gravity_m_s2";
     const WANTED: &str = "an acceleration such as [0.0, 0.0, -9.81]";
     let Some(value) = root.get(KEY) else {
@@ -335,7 +331,7 @@ fn gravity(text: &Text, root: &DeTable, is_pinned: bool) -> Result<[f64; 3], Sce
     Ok(gravity)
 }
 
-fn pinned(text: &Text, root: &DeTable, regions: &[SceneRegion]) -> Result<Vec<String>, SceneError> {
+fn pinned(text: &Text, root: &DeTable, regions: &[SceneRegion]) -> Result<Vec<String>, InputError> {
     let Some(value) = root.get("pinned") else {
         return Ok(Vec::new());
     };

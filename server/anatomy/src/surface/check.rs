@@ -7,7 +7,8 @@ use palpate_tissue::Vec3;
 
 use super::edges::{EdgeUse, Edges, Sets, in_mm, size_in_mm};
 use super::orient::{self, Orientation};
-use super::{Aabb, CheckReport, Surface, SurfaceError};
+use super::{Aabb, CheckReport, Surface};
+use crate::InputError;
 
 /// A surface smaller than this in m is reported as a likely wrong unit. Reason: the smallest feature felt
 /// through a tool is some 5 mm; metres read as millimetres are a thousandth.
@@ -31,18 +32,19 @@ impl Surface {
     ///
     /// Vertices must be welded, as after [`Surface::read`]. An error leaves the surface in an unspecified
     /// state. A second check of the same surface changes nothing.
-    pub fn check(&mut self) -> Result<CheckReport, SurfaceError> {
+    pub fn check(&mut self) -> Result<CheckReport, InputError> {
         self.refuse_nonsense()?;
         let before = self.triangles.len();
         let degenerate_dropped = self.drop_degenerate();
         let needles_kept = self.needles();
         if needles_kept == self.triangles.len() {
-            return Err(SurfaceError::ZeroArea {
-                triangles: before,
-                extent: self
-                    .aabb()
-                    .map_or_else(String::new, |b| size_in_mm(&b.extent())),
-            });
+            let size = self
+                .aabb()
+                .map_or_else(String::new, |b| size_in_mm(&b.extent()));
+            return Err(InputError::new(format_args!(
+                "all {before} triangles have zero area (the surface is {size}): it encloses nothing; \
+                 was it scaled to zero on some axis?"
+            )));
         }
         let duplicates_dropped = self.drop_duplicates();
         if self.triangles.is_empty() {
@@ -53,9 +55,7 @@ impl Surface {
         let orientation = orient::orient(self, &edges)?;
         self.drop_unused_vertices();
 
-        let Some(aabb) = self.aabb() else {
-            return Err(SurfaceError::Empty);
-        };
+        let aabb = self.aabb().ok_or_else(empty)?;
         let (volume_m3, area_m2) = (self.volume(), self.area());
         if volume_m3 <= NO_VOLUME * area_m2 * aabb.extent().max() {
             return Err(self.no_volume());
@@ -78,26 +78,27 @@ impl Surface {
         Ok(report)
     }
 
-    fn refuse_nonsense(&self) -> Result<(), SurfaceError> {
+    fn refuse_nonsense(&self) -> Result<(), InputError> {
         if self.triangles.is_empty() {
-            return Err(SurfaceError::Empty);
+            return Err(empty());
         }
         let vertices = self.vertices.len();
         for (triangle, corners) in self.triangles.iter().enumerate() {
             if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertices) {
-                return Err(SurfaceError::NoSuchVertex {
-                    triangle,
-                    vertex,
-                    vertices,
-                });
+                return Err(InputError::new(format_args!(
+                    "triangle {triangle} names vertex {vertex} of {vertices}; export the surface again"
+                )));
             }
         }
         let is_bad = |p: &&Vec3| !p.iter().all(|x| x.is_finite());
         let count = self.vertices.iter().filter(is_bad).count();
-        match self.vertices.iter().position(|p| is_bad(&p)) {
-            Some(first) => Err(SurfaceError::NotFinite { count, first }),
-            None => Ok(()),
-        }
+        let Some(first) = self.vertices.iter().position(|p| is_bad(&p)) else {
+            return Ok(());
+        };
+        Err(InputError::new(format_args!(
+            "{count} vertices have a coordinate that is infinite or not a number, the first is \
+             vertex {first}; export the surface again"
+        )))
     }
 
     /// Drops triangles with two corners at the same vertex: their edges cancel, no hole opens.
@@ -156,7 +157,7 @@ impl Surface {
         before - self.triangles.len()
     }
 
-    fn refuse_open(&self, edges: &Edges) -> Result<(), SurfaceError> {
+    fn refuse_open(&self, edges: &Edges) -> Result<(), InputError> {
         let odd: Vec<EdgeUse> = edges
             .each()
             .filter(|uses| uses.len() % 2 == 1)
@@ -193,12 +194,16 @@ impl Surface {
                 in_mm(&b.centre())
             ))
         });
-        Err(SurfaceError::Open {
-            edges: single,
-            odd_edges: odd.len() - single,
-            loops: holes.len(),
-            largest: largest.unwrap_or_default(),
-        })
+        let (loops, largest) = (holes.len(), largest.unwrap_or_default());
+        let word = if loops == 1 { "hole" } else { "holes" };
+        let more = match odd.len() - single {
+            0 => String::new(),
+            n => format!("; {n} more edges join three or another odd number of triangles"),
+        };
+        Err(InputError::new(format_args!(
+            "the surface is open: {single} boundary edges in {loops} {word}; {largest}{more}; close \
+             the {word} (\"fill holes\" or \"make manifold\" in a mesh tool) and export again"
+        )))
     }
 
     fn drop_unused_vertices(&mut self) {
@@ -226,12 +231,18 @@ impl Surface {
         }
     }
 
-    fn no_volume(&self) -> SurfaceError {
-        SurfaceError::NoVolume {
-            volume_mm3: self.volume() * 1e9,
-            area_mm2: self.area() * 1e6,
-        }
+    fn no_volume(&self) -> InputError {
+        InputError::new(format_args!(
+            "the surface encloses no volume ({:.3} mm³ inside {:.1} mm² of area); it is folded flat \
+             or its parts cancel; export it again",
+            self.volume() * 1e9,
+            self.area() * 1e6
+        ))
     }
+}
+
+fn empty() -> InputError {
+    InputError::new("the surface is empty: it has no triangle; export it again")
 }
 
 /// Warnings about an accepted surface.

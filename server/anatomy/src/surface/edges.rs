@@ -2,25 +2,23 @@
 
 use palpate_tissue::Vec3;
 
-/// One triangle's use of an edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct EdgeUse {
+pub(crate) struct EdgeUse {
     /// Smaller vertex.
-    pub(super) low: u32,
+    pub(crate) low: u32,
     /// Larger vertex.
-    pub(super) high: u32,
-    /// The triangle.
-    pub(super) triangle: u32,
+    pub(crate) high: u32,
+    pub(crate) triangle: u32,
     /// Whether the triangle runs from `low` to `high`.
-    pub(super) forward: bool,
+    pub(crate) forward: bool,
 }
 
 /// All uses of all edges, sorted: the uses of one edge are adjacent.
-pub(super) struct Edges(Vec<EdgeUse>);
+pub(crate) struct Edges(Vec<EdgeUse>);
 
 impl Edges {
     /// The edges of triangles whose three corners differ.
-    pub(super) fn of(triangles: &[[u32; 3]]) -> Self {
+    pub(crate) fn of(triangles: &[[u32; 3]]) -> Self {
         let mut uses: Vec<EdgeUse> = triangles
             .iter()
             .enumerate()
@@ -37,23 +35,22 @@ impl Edges {
         Self(uses)
     }
 
-    /// The uses of each edge, edge by edge.
-    pub(super) fn each(&self) -> impl Iterator<Item = &[EdgeUse]> {
+    pub(crate) fn each(&self) -> impl Iterator<Item = &[EdgeUse]> {
         self.0.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high))
     }
 }
 
 /// Disjoint sets of small integers (union-find).
-pub(super) struct Sets(Vec<u32>);
+pub(crate) struct Sets(Vec<u32>);
 
 impl Sets {
     /// `n` sets of one each.
-    pub(super) fn new(n: usize) -> Self {
+    pub(crate) fn new(n: usize) -> Self {
         Self((0..n as u32).collect())
     }
 
     /// The smallest member of the set that contains `i`.
-    pub(super) fn find(&mut self, mut i: u32) -> u32 {
+    pub(crate) fn find(&mut self, mut i: u32) -> u32 {
         while self.0[i as usize] != i {
             self.0[i as usize] = self.0[self.0[i as usize] as usize];
             i = self.0[i as usize];
@@ -61,20 +58,21 @@ impl Sets {
         i
     }
 
-    /// Merges two sets; the smaller representative stays.
-    pub(super) fn join(&mut self, a: u32, b: u32) {
+    /// Merges two sets; the smaller representative stays. Returns whether they were different sets.
+    pub(crate) fn join(&mut self, a: u32, b: u32) -> bool {
         let (a, b) = (self.find(a), self.find(b));
         self.0[a.max(b) as usize] = a.min(b);
+        a != b
     }
 }
 
 /// Text of a point, for messages.
-pub(super) fn in_mm(p: &Vec3) -> String {
+pub(crate) fn in_mm(p: &Vec3) -> String {
     format!("({:.1}, {:.1}, {:.1}) mm", p.x * 1e3, p.y * 1e3, p.z * 1e3)
 }
 
 /// Text of a size, for messages.
-pub(super) fn size_in_mm(extent: &Vec3) -> String {
+pub(crate) fn size_in_mm(extent: &Vec3) -> String {
     format!(
         "{:.3} x {:.3} x {:.3} mm",
         extent.x * 1e3,

@@ -7,7 +7,6 @@
 mod check;
 mod check_report;
 mod edges;
-mod error;
 mod obj;
 mod orient;
 mod ply;
@@ -16,7 +15,7 @@ mod stl;
 mod weld;
 
 pub use check_report::CheckReport;
-pub use error::SurfaceError;
+pub(crate) use edges::{Edges, Sets};
 pub use read::{FILE_BYTES_MAX, TRIANGLES_MAX};
 
 use palpate_tissue::Vec3;

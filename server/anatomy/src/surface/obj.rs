@@ -1,112 +1,76 @@
-//! Wavefront OBJ files: positions and faces; objects and groups are merged, polygons become fans.
+//! Wavefront OBJ files: positions and faces; objects and groups are merged, polygons become fans. Materials,
+//! textures and normals are skipped.
 
-use std::fmt::Write;
 use std::path::Path;
 
+use super::read::{broken, not_a_surface, too_many_triangles};
 use super::weld::Welder;
-use super::{Surface, SurfaceError, TRIANGLES_MAX, Unit};
+use super::{Surface, TRIANGLES_MAX, Unit};
+use crate::InputError;
 
 /// Reads a file.
-pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceError> {
+pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, InputError> {
     let text = String::from_utf8_lossy(bytes);
-    let plain = plain(path, &text)?;
-    let options = tobj::LoadOptions {
-        triangulate: true,
-        single_index: true,
-        ..Default::default()
-    };
-    let (models, _) =
-        tobj::load_obj_buf(&mut plain.as_bytes(), &options, |_| Ok(Default::default()))
-            .map_err(|e| broken(path, "faces", e.to_string()))?;
-    let mut welder = Welder::new(unit.metres());
-    for mesh in models.iter().map(|m| &m.mesh) {
-        let at = |i: u32| [0, 1, 2].map(|k| mesh.positions[3 * i as usize + k]);
-        for t in mesh.indices.chunks_exact(3) {
-            welder.triangle([at(t[0]), at(t[1]), at(t[2])]);
-        }
-    }
-    Ok(welder.finish())
-}
-
-/// The file reduced to surface data, with every number validated: `v` lines with three coordinates and `f`
-/// lines with position indices. Without objects, materials, texture and normals nothing remains that could
-/// split the surface or fail to load.
-fn plain(path: &Path, text: &str) -> Result<String, SurfaceError> {
-    let mut out = String::with_capacity(text.len());
-    let (mut triangles, mut vertices) = (0_u64, 0_i64);
     // A backslash at the end joins a line with the next one.
     let text = text.replace("\\\r\n", " ").replace("\\\n", " ");
+    let mut vertices: Vec<[f32; 3]> = Vec::new();
+    let mut triangles: Vec<[usize; 3]> = Vec::new();
     for (n, line) in text.lines().enumerate() {
-        let place = || format!("line {}", n + 1);
-        let mut words = line
-            .split('#')
-            .next()
-            .unwrap_or_default()
-            .split_whitespace();
+        let wrong = |what: String| broken(path, format!("line {}", n + 1), what);
+        let content = line.split('#').next().unwrap_or_default();
+        let mut words = content.split_whitespace();
         match words.next() {
             Some("v") => {
-                vertices += 1;
-                out.push('v');
-                for axis in ["x", "y", "z"] {
+                let mut at = [0.0; 3];
+                for (value, axis) in at.iter_mut().zip(["x", "y", "z"]) {
                     let word = words.next().unwrap_or_default();
-                    if !word.parse::<f32>().is_ok_and(f32::is_finite) {
-                        let what = format!("{axis} of a vertex is \"{word}\", not a number");
-                        return Err(broken(path, &place(), what));
-                    }
-                    write!(out, " {word}").expect("a string takes all");
+                    let number = word.parse().ok().filter(|v: &f32| v.is_finite());
+                    *value = number.ok_or_else(|| {
+                        wrong(format!("{axis} of a vertex is \"{word}\", not a number"))
+                    })?;
                 }
-                out.push('\n');
+                vertices.push(at);
             }
             Some("f") => {
-                let corners: Vec<&str> = words.collect();
+                let corner = |word: &str| {
+                    let found = index(word, vertices.len());
+                    found.ok_or_else(|| wrong(format!("a face names vertex \"{word}\"")))
+                };
+                let corners: Vec<usize> = words.map(corner).collect::<Result<_, _>>()?;
                 if corners.len() < 3 {
-                    let what = format!("a face with {} corners", corners.len());
-                    return Err(broken(path, &place(), what));
+                    return Err(wrong(format!("a face with {} corners", corners.len())));
                 }
-                triangles += corners.len() as u64 - 2;
-                out.push('f');
-                for corner in corners {
-                    let index = corner.split('/').next().unwrap_or_default().parse::<i64>();
-                    // Negative indices count back from the last vertex.
-                    let absolute = index.map(|i| {
-                        if i < 0 {
-                            i.saturating_add(vertices + 1)
-                        } else {
-                            i
-                        }
-                    });
-                    match absolute {
-                        Ok(i) if i >= 1 => write!(out, " {i}").expect("a string takes all"),
-                        _ => {
-                            let what = format!("a face names vertex \"{corner}\"");
-                            return Err(broken(path, &place(), what));
-                        }
-                    }
-                }
-                out.push('\n');
+                triangles.extend(corners[1..].windows(2).map(|p| [corners[0], p[0], p[1]]));
             }
             _ => {}
         }
     }
-    if vertices == 0 && triangles == 0 {
-        return Err(SurfaceError::NotASurface {
-            path: path.to_owned(),
-            what: "this OBJ file has neither vertices nor faces".to_owned(),
-        });
+    if vertices.is_empty() && triangles.is_empty() {
+        let what = "this OBJ file has neither vertices nor faces";
+        return Err(not_a_surface(path, what));
     }
-    if triangles > TRIANGLES_MAX {
-        return Err(SurfaceError::TooManyTriangles {
-            path: path.to_owned(),
-            triangles,
-        });
+    if triangles.len() as u64 > TRIANGLES_MAX {
+        return Err(too_many_triangles(path, triangles.len() as u64));
     }
-    Ok(out)
+    let at = |i: usize| {
+        let found = vertices.get(i).copied();
+        let what = format_args!("a face names vertex {} of {}", i + 1, vertices.len());
+        found.ok_or_else(|| broken(path, "faces", what))
+    };
+    let mut welder = Welder::new(unit.metres());
+    for [a, b, c] in triangles {
+        welder.triangle([at(a)?, at(b)?, at(c)?]);
+    }
+    Ok(welder.finish())
 }
 
-fn broken(path: &Path, place: &str, what: String) -> SurfaceError {
-    SurfaceError::Broken {
-        path: path.to_owned(),
-        place: place.to_owned(),
-        what,
-    }
+/// The vertex that a corner such as `7/1/3` names, from 0. A negative number counts back from the last of the
+/// vertices so far.
+fn index(corner: &str, so_far: usize) -> Option<usize> {
+    let number: i64 = corner.split('/').next()?.parse().ok()?;
+    let from_one = match number {
+        ..0 => number.saturating_add(so_far as i64 + 1),
+        _ => number,
+    };
+    usize::try_from(from_one.checked_sub(1)?).ok()
 }

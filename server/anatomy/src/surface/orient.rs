@@ -10,7 +10,8 @@
 use palpate_tissue::Vec3;
 
 use super::edges::{Edges, Sets, in_mm};
-use super::{Aabb, Surface, SurfaceError, signed_volume};
+use super::{Aabb, Surface, signed_volume};
+use crate::InputError;
 
 /// Most triangles visited while computing the nesting of components. Reason: a second of work. Beyond the bound
 /// the boxes around the components decide instead.
@@ -42,7 +43,7 @@ struct Across {
 }
 
 /// Turns triangles and components outward. The surface must be closed.
-pub(super) fn orient(surface: &mut Surface, edges: &Edges) -> Result<Orientation, SurfaceError> {
+pub(super) fn orient(surface: &mut Surface, edges: &Edges) -> Result<Orientation, InputError> {
     let mut found = Orientation::default();
     let (patch_of, flips) = spread(surface, &neighbours(surface, edges))?;
     turn(surface, |t| flips[t]);
@@ -106,7 +107,7 @@ fn neighbours(surface: &Surface, edges: &Edges) -> Vec<[Option<Across>; 3]> {
 fn spread(
     surface: &Surface,
     neighbours: &[[Option<Across>; 3]],
-) -> Result<(Vec<u32>, Vec<bool>), SurfaceError> {
+) -> Result<(Vec<u32>, Vec<bool>), InputError> {
     const NONE: u32 = u32::MAX;
     let mut patch_of = vec![NONE; neighbours.len()];
     let mut flips = vec![false; neighbours.len()];
@@ -129,9 +130,11 @@ fn spread(
                     patch.push(n);
                 } else if flips[n] != flip {
                     let [a, b, c] = surface.corners(n);
-                    return Err(SurfaceError::OneSided {
-                        place: in_mm(&((a + b + c) / 3.0)),
-                    });
+                    return Err(InputError::new(format_args!(
+                        "the surface is one-sided near {}: its triangles cannot all face outward; \
+                         export the surface again",
+                        in_mm(&((a + b + c) / 3.0))
+                    )));
                 }
             }
         }

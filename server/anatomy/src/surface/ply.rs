@@ -8,8 +8,10 @@ use ply_rs_bw::ply::{
     BeginList, ElementDef, Encoding, Header, PropertyAccess, PropertyAccessResult, PropertyType,
 };
 
+use super::read::{broken, not_a_surface, too_many_triangles};
 use super::weld::Welder;
-use super::{Surface, SurfaceError, TRIANGLES_MAX, Unit};
+use super::{Surface, TRIANGLES_MAX, Unit};
+use crate::InputError;
 
 /// Most elements taken from the parser at a time, because each face is a separate allocation there.
 const BLOCK: usize = 1 << 16;
@@ -64,12 +66,9 @@ impl PropertyAccess for Element {
 }
 
 /// Reads a file.
-pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceError> {
+pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, InputError> {
     if !bytes.starts_with(b"ply") {
-        return Err(SurfaceError::NotASurface {
-            path: path.to_owned(),
-            what: "this is not a PLY file".to_owned(),
-        });
+        return Err(not_a_surface(path, "this is not a PLY file"));
     }
     let mut file = Ply {
         path,
@@ -99,7 +98,7 @@ struct Ply<'a> {
 }
 
 impl Ply<'_> {
-    fn refuse_nonsense(&self, header: &Header, bytes: usize) -> Result<(), SurfaceError> {
+    fn refuse_nonsense(&self, header: &Header, bytes: usize) -> Result<(), InputError> {
         let left = bytes - (self.reader.get_ref().position() as usize).min(bytes);
         for (name, element) in &header.elements {
             // An element without properties takes a line of its own in a text, and no bytes in a binary file:
@@ -127,7 +126,7 @@ impl Ply<'_> {
         };
         let faces = header.elements.get("face").map_or(0, |f| f.count as u64);
         if faces > TRIANGLES_MAX {
-            return Err(self.too_many(faces));
+            return Err(too_many_triangles(self.path, faces));
         }
         let all_axes = ["x", "y", "z"].iter().all(|a| has("vertex", &[a], false));
         if !all_axes || !has("face", &CORNERS, true) {
@@ -137,10 +136,7 @@ impl Ply<'_> {
                 "it lacks vertices with x, y and z, or faces with a list vertex_indices (is it a \
                  cloud of points?)"
             };
-            return Err(SurfaceError::NotASurface {
-                path: self.path.to_owned(),
-                what: what.to_owned(),
-            });
+            return Err(not_a_surface(self.path, what));
         }
         let mut order = header
             .elements
@@ -153,11 +149,7 @@ impl Ply<'_> {
         Ok(())
     }
 
-    fn vertices(
-        &mut self,
-        def: &ElementDef,
-        header: &Header,
-    ) -> Result<Vec<[f32; 3]>, SurfaceError> {
+    fn vertices(&mut self, def: &ElementDef, header: &Header) -> Result<Vec<[f32; 3]>, InputError> {
         let mut at = Vec::new();
         self.each(def, header, |_, vertex| {
             at.push(vertex.at);
@@ -172,7 +164,7 @@ impl Ply<'_> {
         header: &Header,
         at: &[[f32; 3]],
         welder: &mut Welder,
-    ) -> Result<(), SurfaceError> {
+    ) -> Result<(), InputError> {
         let path = self.path;
         self.each(def, header, |number, face| {
             let wrong = |what: String| broken(path, format!("face {}", number + 1), what);
@@ -191,10 +183,7 @@ impl Ply<'_> {
                 welder.triangle([first, corner(pair[0])?, corner(pair[1])?]);
             }
             if welder.triangles() as u64 > TRIANGLES_MAX {
-                return Err(SurfaceError::TooManyTriangles {
-                    path: path.to_owned(),
-                    triangles: welder.triangles() as u64,
-                });
+                return Err(too_many_triangles(path, welder.triangles() as u64));
             }
             Ok(())
         })
@@ -205,8 +194,8 @@ impl Ply<'_> {
         &mut self,
         def: &ElementDef,
         header: &Header,
-        mut take: impl FnMut(usize, Element) -> Result<(), SurfaceError>,
-    ) -> Result<(), SurfaceError> {
+        mut take: impl FnMut(usize, Element) -> Result<(), InputError>,
+    ) -> Result<(), InputError> {
         let mut block = def.clone();
         let mut done = 0;
         while done < def.count {
@@ -231,7 +220,7 @@ impl Ply<'_> {
         Ok(())
     }
 
-    fn broken(&self, place: &str, e: &ParseError) -> SurfaceError {
+    fn broken(&self, place: &str, e: &ParseError) -> InputError {
         let what = match e.kind() {
             ErrorKind::UnexpectedEof => "the file is truncated".to_owned(),
             // The parser repeats the faulty line on a line of its own.
@@ -244,22 +233,7 @@ impl Ply<'_> {
         self.wrong(place, what.chars().take(200).collect())
     }
 
-    fn wrong(&self, place: &str, what: String) -> SurfaceError {
-        broken(self.path, place.to_owned(), what)
-    }
-
-    fn too_many(&self, triangles: u64) -> SurfaceError {
-        SurfaceError::TooManyTriangles {
-            path: self.path.to_owned(),
-            triangles,
-        }
-    }
-}
-
-fn broken(path: &Path, place: String, what: String) -> SurfaceError {
-    SurfaceError::Broken {
-        path: path.to_owned(),
-        place,
-        what,
+    fn wrong(&self, place: &str, what: String) -> InputError {
+        broken(self.path, place, what)
     }
 }

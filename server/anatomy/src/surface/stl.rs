@@ -3,11 +3,13 @@
 use std::io::{Cursor, ErrorKind, Write};
 use std::path::Path;
 
-use palpate_tissue::Staged;
+use palpate_tissue::{Staged, WriteError};
 use stl_io::{Normal, Triangle, Vertex};
 
+use super::read::{broken, not_a_surface, too_many_triangles};
 use super::weld::Welder;
-use super::{Surface, SurfaceError, TRIANGLES_MAX, Unit};
+use super::{Surface, TRIANGLES_MAX, Unit};
+use crate::InputError;
 
 /// Bytes before the first triangle of a binary file: 80 of header, 4 of count.
 const HEADER_BYTES: u64 = 84;
@@ -22,7 +24,7 @@ pub(super) const fn binary_bytes(triangles: u64) -> u64 {
 
 /// Reads either kind. The size decides, because many programs write binary files whose header begins with
 /// "solid", like an ASCII file.
-pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceError> {
+pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, InputError> {
     let count = bytes
         .get(80..84)
         .and_then(|b| b.try_into().ok())
@@ -39,18 +41,15 @@ pub(super) fn read(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, Sur
         Some(n) if binary_bytes(u64::from(n)) < bytes.len() as u64 && plausible(bytes) => {
             collect(path, bytes, unit)
         }
-        Some(n) if plausible(bytes) => Err(SurfaceError::Broken {
-            path: path.to_owned(),
-            place: format!(
+        Some(n) if plausible(bytes) => Err(broken(
+            path,
+            format!(
                 "after {} triangles",
                 (bytes.len() as u64 - HEADER_BYTES) / TRIANGLE_BYTES
             ),
-            what: format!("the file is truncated: its header declares {n} triangles"),
-        }),
-        _ => Err(SurfaceError::NotASurface {
-            path: path.to_owned(),
-            what: "this is not an STL file".to_owned(),
-        }),
+            format!("the file is truncated: its header declares {n} triangles"),
+        )),
+        _ => Err(not_a_surface(path, "this is not an STL file")),
     }
 }
 
@@ -77,7 +76,7 @@ fn ascii(bytes: &[u8]) -> Option<String> {
 /// One solid with plain headings, as the parser requires. Names, boundaries between several solids and the
 /// written normals are dropped. Some programs write `nan` normals; the order of the corners defines the same
 /// direction.
-fn normalised(path: &Path, text: &str) -> Result<Vec<u8>, SurfaceError> {
+fn normalised(path: &Path, text: &str) -> Result<Vec<u8>, InputError> {
     let mut out = String::with_capacity(text.len() + 16);
     out.push_str("solid s\n");
     let (mut facets, mut ended) = (0_u64, false);
@@ -97,10 +96,7 @@ fn normalised(path: &Path, text: &str) -> Result<Vec<u8>, SurfaceError> {
         }
     }
     if facets > TRIANGLES_MAX {
-        return Err(SurfaceError::TooManyTriangles {
-            path: path.to_owned(),
-            triangles: facets,
-        });
+        return Err(too_many_triangles(path, facets));
     }
     if ended {
         out.push_str("endsolid s\n");
@@ -109,15 +105,17 @@ fn normalised(path: &Path, text: &str) -> Result<Vec<u8>, SurfaceError> {
 }
 
 /// Parses and welds.
-fn collect(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceError> {
+fn collect(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, InputError> {
     let mut welder = Welder::new(unit.metres());
-    let broken = |triangles: usize, source: &std::io::Error| SurfaceError::Broken {
-        path: path.to_owned(),
-        place: format!("triangle {}", triangles + 1),
-        what: match source.kind() {
-            ErrorKind::UnexpectedEof => "the file is truncated".to_owned(),
-            _ => source.to_string(),
-        },
+    let broken = |triangles: usize, source: &std::io::Error| {
+        broken(
+            path,
+            format!("triangle {}", triangles + 1),
+            match source.kind() {
+                ErrorKind::UnexpectedEof => "the file is truncated".to_owned(),
+                _ => source.to_string(),
+            },
+        )
     };
     let mut cursor = Cursor::new(bytes);
     let reader = stl_io::create_stl_reader(&mut cursor).map_err(|e| broken(0, &e))?;
@@ -130,13 +128,8 @@ fn collect(path: &Path, bytes: &[u8], unit: Unit) -> Result<Surface, SurfaceErro
 
 impl Surface {
     /// Writes a binary STL in millimetres with outward normals, atomically.
-    pub fn write_stl(&self, path: &Path) -> Result<(), SurfaceError> {
-        Staged::write(path, |out| self.write_stl_to(out))
-            .and_then(Staged::put_in_place)
-            .map_err(|e| SurfaceError::Io {
-                path: e.path,
-                source: e.source,
-            })
+    pub fn write_stl(&self, path: &Path) -> Result<(), WriteError> {
+        Staged::write(path, |out| self.write_stl_to(out))?.put_in_place()
     }
 
     /// Writes a binary STL in millimetres with outward normals.

@@ -37,7 +37,6 @@ impl Welder {
         self.surface.triangles.len()
     }
 
-    /// The surface.
     pub(super) fn finish(self) -> Surface {
         self.surface
     }

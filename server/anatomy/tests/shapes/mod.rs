@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use std::fmt::Write as _;
 
 use nalgebra::Rotation3;
-use palpate_anatomy::{Scene, SceneError, SceneInput, Surface};
+use palpate_anatomy::{InputError, Scene, SceneInput, Surface};
 use palpate_tissue::Vec3;
 
 /// A closed body of revolution about z with the given profile of (radius, z), capped flat.
@@ -96,7 +96,7 @@ pub(crate) fn together(surfaces: &[Surface]) -> Surface {
 }
 
 /// A scene of the surfaces in this order; each region is named by its number.
-pub(crate) fn scene(spacing: &str, surfaces: &[Surface]) -> Result<SceneInput, SceneError> {
+pub(crate) fn scene(spacing: &str, surfaces: &[Surface]) -> Result<SceneInput, InputError> {
     let mut text = format!("format = \"palpate-scene/1\"\nspacing_mm = {spacing}\n");
     for r in 0..surfaces.len() {
         write!(

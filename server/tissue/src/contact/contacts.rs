@@ -50,7 +50,6 @@ impl Contacts {
         self.index.follow(topology);
     }
 
-    /// The search index of the surface.
     pub(crate) fn index(&self) -> &SurfaceIndex {
         &self.index
     }

@@ -32,7 +32,6 @@ mod contact_sample;
 mod contacts;
 mod core;
 mod line_search;
-mod node_triangles;
 mod outwards;
 mod proxy;
 mod reaction;

@@ -29,7 +29,6 @@ pub(crate) struct Proxy {
     pub(crate) radius: f64,
     /// Excess of the contact radius over the tool's; the surface is offset inwards by it.
     pub(crate) inset: f64,
-    /// Target pose of the tool.
     pub(crate) target: Tool,
     /// Position of the pivot, and rotation.
     pub(crate) at: Vec3,

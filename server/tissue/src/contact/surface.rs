@@ -2,6 +2,7 @@
 
 use super::ball::Ball;
 use super::surface_index::SurfaceIndex;
+use crate::nearest::{Feature, nearest_feature};
 use crate::{Topology, Vec3};
 
 /// The deformed outer surface for searches.
@@ -10,7 +11,6 @@ pub(crate) struct Surface<'a> {
     pub(crate) topology: &'a Topology,
     /// Displacements in m; `None` at rest, for nearest points only.
     pub(crate) u: Option<&'a [Vec3]>,
-    /// Index that watches `u`.
     pub(crate) index: &'a SurfaceIndex,
 }
 
@@ -97,45 +97,24 @@ pub(crate) fn blend(corners: &[Vec3; 3], w: &[f64; 3]) -> Vec3 {
     corners[0] * w[0] + corners[1] * w[1] + corners[2] * w[2]
 }
 
-/// Barycentric weights of the point of a triangle nearest to `p` (by the regions of its corners,
-/// edges and face in turn).
+/// Barycentric weights of the point of a triangle nearest to `p`.
 pub(crate) fn nearest_weights(corners: &[Vec3; 3], p: &Vec3) -> [f64; 3] {
-    let [a, b, c] = corners;
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return [1.0, 0.0, 0.0];
+    let mut weights = [0.0; 3];
+    match nearest_feature(p, corners) {
+        Feature::Corner(i) => weights[i] = 1.0,
+        Feature::Edge(i, j, part) => {
+            weights[i] = 1.0 - part;
+            weights[j] = part;
+        }
+        Feature::Face(parts) => {
+            let sum: f64 = parts[0] + parts[1] + parts[2];
+            if sum <= 0.0 || !sum.is_finite() {
+                return [1.0, 0.0, 0.0];
+            }
+            weights = parts.map(|v| v / sum);
+        }
     }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return [0.0, 1.0, 0.0];
-    }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return [0.0, 0.0, 1.0];
-    }
-    let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        let t = d1 / (d1 - d3);
-        return [1.0 - t, t, 0.0];
-    }
-    let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        let t = d2 / (d2 - d6);
-        return [1.0 - t, 0.0, t];
-    }
-    let va = d3 * d6 - d5 * d4;
-    if va <= 0.0 && d4 >= d3 && d5 >= d6 {
-        let t = (d4 - d3) / ((d4 - d3) + (d5 - d6));
-        return [0.0, 1.0 - t, t];
-    }
-    let sum = va + vb + vc;
-    if sum <= 0.0 || !sum.is_finite() {
-        return [1.0, 0.0, 0.0];
-    }
-    [va / sum, vb / sum, vc / sum]
+    weights
 }
 
 #[cfg(test)]

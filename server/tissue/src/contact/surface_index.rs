@@ -23,9 +23,8 @@ use parry3d_f64::math::Vector;
 use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode, TraversalAction};
 
 use super::ball::Ball;
-use super::node_triangles::NodeTriangles;
 use super::watched::Watched;
-use crate::{Topology, Vec3};
+use crate::{Rows, Topology, Vec3};
 
 /// Margin of the watched region relative to the reach. A larger margin refits more triangles per step, a smaller one
 /// rebuilds more often.
@@ -34,11 +33,18 @@ const PAD: f64 = 0.25;
 pub(super) const ROUNDING: f64 = 1e-9;
 const NONE: u32 = u32::MAX;
 
+/// Triangles of the surface around each node, in the order of their numbers.
+fn node_triangles(topology: &Topology) -> Rows<u32> {
+    let triangles = topology.boundary().triangles.iter().zip(0..);
+    let pairs = triangles.flat_map(|(nodes, t)| nodes.map(|node| (node, t)));
+    Rows::new(topology.node_count(), pairs)
+}
+
 #[derive(Clone)]
 pub(crate) struct SurfaceIndex {
     /// Tree of rest positions; leaf `t` is triangle `t`.
     tree: Bvh,
-    node_triangles: NodeTriangles,
+    node_triangles: Rows<u32>,
     watched: Watched,
     spacing: f64,
     /// Upper bound of surface displacements in m, since the last watch.
@@ -51,7 +57,7 @@ impl SurfaceIndex {
         let boxes = triangles.iter().map(|t| rest_box(topology, t)).enumerate();
         Self {
             tree: Bvh::from_iter(BvhBuildStrategy::Binned, boxes),
-            node_triangles: NodeTriangles::new(topology),
+            node_triangles: node_triangles(topology),
             watched: Watched::new(topology.node_count()),
             spacing: topology.model().spacing_m,
             displaced: 0.0,
@@ -77,7 +83,7 @@ impl SurfaceIndex {
         }
         // Insertion only widens boxes on the way to the root; this makes them tight again.
         self.tree.refit_partial(&[], &changed);
-        self.node_triangles = NodeTriangles::new(topology);
+        self.node_triangles = node_triangles(topology);
         self.watched = Watched::new(topology.node_count());
     }
 
@@ -196,7 +202,7 @@ impl SurfaceIndex {
 
     /// Triangles around a node, in the order of their numbers.
     pub(crate) fn around(&self, node: u32) -> &[u32] {
-        self.node_triangles.of(node)
+        self.node_triangles.row(node)
     }
 
     #[cfg(test)]
@@ -204,7 +210,6 @@ impl SurfaceIndex {
         &self.watched
     }
 
-    /// Bytes on the heap.
     #[cfg(test)]
     pub(super) fn heap_bytes(&self) -> usize {
         self.tree.heap_memory_size() + self.node_triangles.heap_bytes() + self.watched.heap_bytes()

@@ -173,7 +173,6 @@ impl Watched {
         &self.nodes
     }
 
-    /// Bytes on the heap.
     #[cfg(test)]
     pub(super) fn heap_bytes(&self) -> usize {
         self.triangles.capacity() * size_of::<u32>()

@@ -63,7 +63,6 @@ impl<'a> Opening<'a> {
         }
     }
 
-    /// The fans of a node.
     pub(crate) fn fans(&self, node: u32) -> Fans {
         let cells = self.topology.node_cells[node as usize];
         let mut fan: Fans =

@@ -109,7 +109,6 @@ impl Topology {
         Arc::clone(self.cut_index.cells.get_or_init(build))
     }
 
-    /// Position of an exposed face in the boundary.
     pub(crate) fn boundary_position(&self, face: FaceId) -> Option<usize> {
         if let Some(&position) = self.cut_index.opened.get(&face) {
             return Some(position as usize);

@@ -65,85 +65,21 @@ const RETRIES: usize = 3;
 /// Reasons for rejecting a stroke. The topology is then unchanged.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CutError {
-    /// Too few or too many blade points.
-    #[error("a stroke has 2 to {BLADE_POINTS_MAX} blade points; this one has {count}")]
-    Points {
-        /// Number of points.
-        count: usize,
-    },
-    /// A coordinate is not finite or out of range.
-    #[error("blade point {index} of the stroke has a coordinate that is not finite or too large")]
-    NotFinite {
-        /// Which point.
-        index: usize,
-    },
-    /// The axis is not a unit vector.
-    #[error("the axis of blade point {index} is not a unit vector")]
-    Axis {
-        /// Which point.
-        index: usize,
-    },
-    /// The depth is not positive or too large.
-    #[error(
-        "blade point {index} is {depth_m} m deep; it must be above 0 and at most {BLADE_DEPTH_MAX_M} m"
-    )]
-    Depth {
-        /// Which point.
-        index: usize,
-        /// Its depth in m.
-        depth_m: f64,
-    },
-    /// The width is negative or too large.
-    #[error("the wound is {width_m} m wide; it must be 0 to {WOUND_WIDTH_MAX_M} m")]
-    Width {
-        /// Its width in m.
-        width_m: f64,
-    },
-    /// Two points in one place.
-    #[error("the blade does not move between its points {index} and {}; leave one out", index + 1)]
-    Step {
-        /// The first of the two.
-        index: usize,
-    },
-    /// The path is too long.
-    #[error(
-        "the stroke is {length_m} m long, more than {STROKE_LENGTH_MAX_M} m; make several of it"
-    )]
-    Length {
-        /// Its length in m.
-        length_m: f64,
-    },
-    /// The blade moves along itself.
-    #[error("the blade moves along its own axis and sweeps no surface; move it sideways")]
-    Stab,
-    /// The swept surface is too large for this lattice.
-    #[error(
-        "the stroke sweeps {swept_m2} m², too much for a lattice as fine as this; make several of it"
-    )]
-    Swept {
-        /// The swept surface in m².
-        swept_m2: f64,
-    },
-    /// No tissue there.
-    #[error("the blade passes through no tissue, or less deep than half a cell")]
-    Misses,
-    /// Only bone there.
-    #[error("the blade meets only the pinned region `{region}`, which it can not cut")]
-    Pinned {
-        /// The region's name.
-        region: String,
-    },
     /// Nothing to part.
     #[error(
         "the stroke parts nothing: the tissue is already parted there, or the cut is narrower than \
          two cells"
     )]
     NothingNew,
-    /// The topology can not grow any more.
-    #[error(
-        "the model has {NODES_MAX} nodes, and a cut would need more; no further cut is possible"
-    )]
-    Full,
+    /// For the reason that the message states.
+    #[error("{0}")]
+    Rejected(String),
+}
+
+impl From<String> for CutError {
+    fn from(reason: String) -> Self {
+        Self::Rejected(reason)
+    }
 }
 
 /// Result of a cut.
@@ -183,7 +119,9 @@ pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, Cu
     let mut nodes = sheet_snap::sheet_nodes(topology, &sheet);
     // A node has at most eight cells, so it makes at most seven more nodes.
     if topology.node_count() + 7 * nodes.len() > NODES_MAX + NODES_MAX / 4 {
-        return Err(CutError::Full);
+        return Err(CutError::Rejected(format!(
+            "the model has {NODES_MAX} nodes, and a cut would need more; no further cut is possible"
+        )));
     }
 
     // All checks are done; nothing fails from here on.

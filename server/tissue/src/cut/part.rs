@@ -71,7 +71,7 @@ pub(crate) fn open(topology: &mut Topology, sheet: &[FaceId], doubled: &[(u32, u
     }
 }
 
-/// Volumes, springs, masses and pins around nodes that moved or were doubled. Gives all nodes whose
+/// Volumes, masses and pins around nodes that moved or were doubled. Gives all nodes whose
 /// rest position, springs or mass may have changed, sorted.
 pub(crate) fn derive_around(topology: &mut Topology, changed: &BTreeSet<u32>) -> Vec<u32> {
     let mut cells = BTreeSet::new();
@@ -86,8 +86,6 @@ pub(crate) fn derive_around(topology: &mut Topology, changed: &BTreeSet<u32>) ->
         touched.extend(corners);
     }
     for &node in &touched {
-        let row = topology.springs_of(node);
-        topology.springs.set_row(node, &row);
         topology.derive_node(node);
     }
     touched.into_iter().collect()

@@ -12,6 +12,7 @@ use super::cell_index::{BUCKET, Key, keys_of_triangle};
 use super::sheet::SEGMENT_MAX;
 use super::stroke::BladePoint;
 use crate::Vec3;
+use crate::nearest::{Feature, nearest_feature};
 
 /// How far the surface that nodes are snapped onto reaches beyond the blade's own, in spacings, so
 /// that a node off the end of the cut is drawn into its plane and not to its rim.
@@ -63,34 +64,12 @@ impl Triangle {
 
     /// The nearest point of it, by the region of the plane that the point's foot falls into.
     fn nearest(&self, p: &Vec3) -> Vec3 {
-        let [a, b, c] = self.points;
-        let (ab, ac) = (b - a, c - a);
-        let (ap, bp, cp) = (p - a, p - b, p - c);
-        let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
-        if d1 <= 0.0 && d2 <= 0.0 {
-            return a;
+        let corners = &self.points;
+        match nearest_feature(p, corners) {
+            Feature::Corner(i) => corners[i],
+            Feature::Edge(i, j, part) => corners[i] + (corners[j] - corners[i]) * part,
+            Feature::Face(_) => p - self.normal * self.height(p),
         }
-        let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
-        if d3 >= 0.0 && d4 <= d3 {
-            return b;
-        }
-        let vc = d1 * d4 - d3 * d2;
-        if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-            return a + ab * (d1 / (d1 - d3));
-        }
-        let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
-        if d6 >= 0.0 && d5 <= d6 {
-            return c;
-        }
-        let vb = d5 * d2 - d1 * d6;
-        if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-            return a + ac * (d2 / (d2 - d6));
-        }
-        let va = d3 * d6 - d5 * d4;
-        if va <= 0.0 && d4 >= d3 && d5 >= d6 {
-            return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)));
-        }
-        p - self.normal * self.height(p)
     }
 }
 
@@ -120,7 +99,6 @@ pub(crate) struct Ribbon {
 }
 
 impl Ribbon {
-    /// The surface swept by the blade.
     pub(crate) fn swept(points: &[BladePoint], spacing: f64) -> Self {
         let columns: Vec<[Vec3; 2]> = points.iter().map(|p| [p.tip, p.top()]).collect();
         Self::between(&columns, spacing, 0)

@@ -55,11 +55,14 @@ pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId
     }
     match (met.faces.is_empty(), met.pinned) {
         (false, _) => Ok(met.faces.into_iter().collect()),
-        (true, Some(region)) => Err(CutError::Pinned {
-            region: topology.model.regions[region.index()].name.clone(),
-        }),
+        (true, Some(region)) => Err(CutError::Rejected(format!(
+            "the blade meets only the pinned region `{}`, which it can not cut",
+            topology.model.regions[region.index()].name
+        ))),
         (true, None) if met.open => Err(CutError::NothingNew),
-        (true, None) => Err(CutError::Misses),
+        (true, None) => Err(CutError::Rejected(
+            "the blade passes through no tissue, or less deep than half a cell".into(),
+        )),
     }
 }
 
@@ -90,7 +93,6 @@ fn meet(topology: &Topology, cell: u32, from: &Vec3, near: &[&Triangle], met: &m
     }
 }
 
-/// The four nodes of a face.
 pub(crate) fn nodes_of(topology: &Topology, face: FaceId) -> [u32; 4] {
     FACES[face.face()].map(|c| topology.corners(face.cell())[c])
 }
@@ -260,7 +262,6 @@ impl Erosion<'_> {
         groups.iter().any(|g| g.1 > 2)
     }
 
-    /// The new faces at an edge.
     fn new_faces_at_edge(&self, node: u32, at: usize, axis: usize) -> Vec<FaceId> {
         let cells = self.opening.topology.node_cells[node as usize];
         let mut faces = Vec::new();
@@ -274,7 +275,6 @@ impl Erosion<'_> {
         faces
     }
 
-    /// The new faces at a node.
     fn new_faces_at(&self, node: u32) -> Vec<FaceId> {
         let cells = self.opening.topology.node_cells[node as usize];
         let mut faces = Vec::new();

@@ -48,7 +48,6 @@ pub(crate) enum Freedom {
     Pinned,
 }
 
-/// A node of the sheet.
 pub(crate) struct SheetNode {
     pub(crate) node: u32,
     pub(crate) freedom: Freedom,

@@ -1,6 +1,5 @@
 //! Strokes of a blade and their validation.
 
-use super::CutError;
 use crate::{Shape, Topology, Vec3, to_rest};
 
 /// Most blade points of one stroke; at 1 mm of path each, four metres.
@@ -59,39 +58,52 @@ pub struct CutStroke {
 }
 
 impl CutStroke {
-    /// Rejects impossible strokes.
-    pub(crate) fn check(&self, spacing: f64) -> Result<(), CutError> {
+    /// Rejects impossible strokes, with the reason.
+    pub(crate) fn check(&self, spacing: f64) -> Result<(), String> {
         let count = self.points.len();
         if !(2..=BLADE_POINTS_MAX).contains(&count) {
-            return Err(CutError::Points { count });
+            return Err(format!(
+                "a stroke has 2 to {BLADE_POINTS_MAX} blade points; this one has {count}"
+            ));
         }
         for (index, p) in self.points.iter().enumerate() {
             let finite = p.tip.iter().chain(p.axis.iter()).all(|v| v.is_finite());
             if !finite || p.tip.amax() > 1e6 {
-                return Err(CutError::NotFinite { index });
+                return Err(format!(
+                    "blade point {index} of the stroke has a coordinate that is not finite or too large"
+                ));
             }
             if (p.axis.norm() - 1.0).abs() > 1e-3 {
-                return Err(CutError::Axis { index });
+                return Err(format!(
+                    "the axis of blade point {index} is not a unit vector"
+                ));
             }
             if !(p.depth_m > 0.0 && p.depth_m <= BLADE_DEPTH_MAX_M) {
-                let depth_m = p.depth_m;
-                return Err(CutError::Depth { index, depth_m });
+                return Err(format!(
+                    "blade point {index} is {} m deep; it must be above 0 and at most {BLADE_DEPTH_MAX_M} m",
+                    p.depth_m
+                ));
             }
         }
         if !(0.0..=WOUND_WIDTH_MAX_M).contains(&self.width_m) {
-            let width_m = self.width_m;
-            return Err(CutError::Width { width_m });
+            return Err(format!(
+                "the wound is {} m wide; it must be 0 to {WOUND_WIDTH_MAX_M} m",
+                self.width_m
+            ));
         }
         self.check_path(spacing)
     }
 
-    fn check_path(&self, spacing: f64) -> Result<(), CutError> {
+    fn check_path(&self, spacing: f64) -> Result<(), String> {
         let mut length_m = 0.0;
         let mut swept = 0.0;
         for (index, pair) in self.points.windows(2).enumerate() {
             let step = pair[1].tip - pair[0].tip;
             if step.norm() < STEP_MIN_M {
-                return Err(CutError::Step { index });
+                return Err(format!(
+                    "the blade does not move between its points {index} and {}; leave one out",
+                    index + 1
+                ));
             }
             length_m += step.norm();
             let tops = pair[1].top() - pair[0].top();
@@ -100,14 +112,19 @@ impl CutStroke {
             swept += depth * (across(step) + across(tops)) / 2.0;
         }
         if length_m > STROKE_LENGTH_MAX_M {
-            return Err(CutError::Length { length_m });
+            return Err(format!(
+                "the stroke is {length_m} m long, more than {STROKE_LENGTH_MAX_M} m; make several of it"
+            ));
         }
         if swept < 1e-6 * spacing * spacing {
-            return Err(CutError::Stab);
+            return Err(
+                "the blade moves along its own axis and sweeps no surface; move it sideways".into(),
+            );
         }
         if swept > SWEPT_SQUARES_MAX * spacing * spacing {
-            let swept_m2 = swept;
-            return Err(CutError::Swept { swept_m2 });
+            return Err(format!(
+                "the stroke sweeps {swept} m², too much for a lattice as fine as this; make several of it"
+            ));
         }
         Ok(())
     }

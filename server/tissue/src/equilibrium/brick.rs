@@ -290,7 +290,7 @@ fn add_springs(
     let floor = LENGTH_FLOOR * topology.model().spacing_m;
     let energy = elastic.spring_pa * topology.volume(cell).max(0.0);
     let shares = fit::shares(&corners.map(|n| topology.rest(n)), floor);
-    for (share, [a, b]) in shares.into_iter().zip(fit::ENDS) {
+    for (share, [a, b]) in shares.into_iter().zip(crate::cell::PAIRS) {
         let d: Vec3 = topology.rest(corners[b]) - topology.rest(corners[a]);
         let length = d.norm().max(floor);
         let k = share * energy * elastic.along(&d) / (length * length);

@@ -14,7 +14,7 @@ use super::coarsen::{Coarse, Joints, Piece, coarsen, octant};
 use super::element::{Matrix, Sum};
 use super::prolongation::{FREE, Prolongation};
 use crate::cell::NO_CELL;
-use crate::{FaceId, Topology, Vec3};
+use crate::{FaceId, Rows, Topology, Vec3};
 
 /// Maximum of coarse levels: 8 halvings reduce 256 points per axis to one.
 const LEVELS_MAX: usize = 8;
@@ -23,44 +23,8 @@ const COARSEST_ELEMENTS: usize = 12;
 /// Bricks built per batch, so that temporary forms stay below some 30 MB.
 const BATCH: usize = 8192;
 
-/// Compressed rows of numbers.
-#[derive(Default)]
-pub(super) struct Table {
-    first: Vec<u32>,
-    items: Vec<u32>,
-}
-
-impl Table {
-    /// The rows of `pairs`, each `(row, item)`, items in the order given.
-    pub(super) fn new(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
-        let mut first = vec![0u32; rows + 1];
-        for (row, _) in pairs.clone() {
-            first[row as usize + 1] += 1;
-        }
-        for r in 0..rows {
-            first[r + 1] += first[r];
-        }
-        let mut items = vec![0; first[rows] as usize];
-        let mut next = first.clone();
-        for (row, item) in pairs {
-            let at = &mut next[row as usize];
-            items[*at as usize] = item;
-            *at += 1;
-        }
-        Self { first, items }
-    }
-
-    #[inline]
-    pub(super) fn row(&self, row: u32) -> &[u32] {
-        let r = row as usize;
-        &self.items[self.first[r] as usize..self.first[r + 1] as usize]
-    }
-
-    #[inline]
-    pub(super) fn len(&self, row: u32) -> u32 {
-        self.first[row as usize + 1] - self.first[row as usize]
-    }
-}
+/// Rows of numbers.
+pub(super) type Table = Rows<u32>;
 
 /// One coarse lattice.
 pub(super) struct Level {

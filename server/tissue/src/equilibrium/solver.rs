@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use super::active_set::Criteria;
 use super::budget::{Budget, StepReport, relative};
 use super::coarse_level::prolongate_changes;
@@ -107,7 +109,7 @@ impl Solver {
     /// full solve; an undeformed shape starts there.
     pub fn new(topology: &Topology) -> Self {
         let hierarchy = Arc::new(Hierarchy::new(topology));
-        let all = 0..topology.node_count() as u32;
+        let all = (0..topology.node_count() as u32).into_par_iter();
         let own: Vec<f64> = all.map(|n| own_stiffness(topology, n)).collect();
         let reference_state = ReferenceState::of(topology, &hierarchy, &own, None);
         let fine = FineLevel::new(topology, &hierarchy, own);

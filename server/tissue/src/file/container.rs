@@ -17,7 +17,6 @@ use flate2::read::DeflateDecoder;
 use flate2::write::DeflateEncoder;
 use rayon::prelude::*;
 
-/// Size in bytes of the header.
 pub(crate) const HEADER_BYTES: usize = 32;
 /// Largest content before compression, in bytes: 16 million nodes with their cells come to 1.3 GiB.
 /// A file that declares more is rejected before anything is allocated.
@@ -31,54 +30,6 @@ const LEVEL: u32 = 3;
 /// Bytes of content that are compressed independently, each on a thread. Parts that shared history would be a
 /// hundredth of a percent smaller.
 const PART: usize = 512 << 10;
-
-/// A defect of an envelope.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum EnvelopeError {
-    /// The magic is a different one.
-    #[error("wrong file type; check that the right file was given")]
-    WrongKind,
-    /// An unknown version.
-    #[error(
-        "it has format version {found}, {} than version {reads}, which this program reads; {}",
-        if found < reads { "older" } else { "newer" },
-        if found < reads {
-            "build it again from its scene, or use the program that wrote it"
-        } else {
-            "use a newer program, or build it again from its scene with this one"
-        }
-    )]
-    Version {
-        /// The version in the file.
-        found: u32,
-        /// The version this program reads.
-        reads: u32,
-    },
-    /// Shorter than it declares, or longer.
-    #[error(
-        "{found} bytes instead of {expected}; the file is incomplete or damaged, copy it again"
-    )]
-    Length {
-        /// Bytes it should have.
-        expected: u64,
-        /// Bytes it has.
-        found: u64,
-    },
-    /// The checksum does not match.
-    #[error("checksum mismatch; the file is damaged, copy it again")]
-    Checksum,
-    /// A declared size is beyond the possible.
-    #[error("{declared} bytes of content declared, at most {max} possible; the file is damaged")]
-    Size {
-        /// Declared size in bytes.
-        declared: u64,
-        /// The limit in bytes.
-        max: u64,
-    },
-    /// The compressed stream does not yield what it declares.
-    #[error("the content cannot be decompressed; the file is damaged")]
-    Stream,
-}
 
 /// Wraps content in an envelope.
 pub(crate) fn seal(magic: [u8; 8], version: u32, content: &[u8]) -> Vec<u8> {
@@ -116,43 +67,57 @@ fn pack(part: &[u8], last: bool) -> std::io::Result<Vec<u8>> {
 }
 
 /// Takes content out of its envelope, after every check that the envelope allows.
-pub(crate) fn open(magic: [u8; 8], version: u32, bytes: &[u8]) -> Result<Vec<u8>, EnvelopeError> {
+pub(crate) fn open(magic: [u8; 8], version: u32, bytes: &[u8]) -> Result<Vec<u8>, String> {
     if bytes.len() < 8 || bytes[..8] != magic {
-        return Err(EnvelopeError::WrongKind);
+        return Err("wrong file type; check that the right file was given".into());
     }
     let found = bytes.len() as u64;
+    let wrong_length = |expected: u64| {
+        Err(format!(
+            "{found} bytes instead of {expected}; the file is incomplete or damaged, copy it again"
+        ))
+    };
     if bytes.len() < HEADER_BYTES {
-        let expected = HEADER_BYTES as u64;
-        return Err(EnvelopeError::Length { expected, found });
+        return wrong_length(HEADER_BYTES as u64);
     }
-    let version_found = u32_at(bytes, 8);
-    if version_found != version {
-        return Err(EnvelopeError::Version {
-            found: version_found,
-            reads: version,
-        });
+    let written = u32_at(bytes, 8);
+    if written != version {
+        let (word, remedy) = if written < version {
+            (
+                "older",
+                "build it again from its scene, or use the program that wrote it",
+            )
+        } else {
+            (
+                "newer",
+                "use a newer program, or build it again from its scene with this one",
+            )
+        };
+        return Err(format!(
+            "it has format version {written}, {word} than version {version}, which this program reads; {remedy}"
+        ));
     }
-    let content_bytes = u64_at(bytes, 12);
+    let declared = u64_at(bytes, 12);
     let stored = u64_at(bytes, 20);
     let expected = stored.saturating_add(HEADER_BYTES as u64);
     if found != expected {
-        return Err(EnvelopeError::Length { expected, found });
+        return wrong_length(expected);
     }
     if checksum(bytes) != u32_at(bytes, 28) {
-        return Err(EnvelopeError::Checksum);
+        return Err("checksum mismatch; the file is damaged, copy it again".into());
     }
     let max = CONTENT_BYTES_MAX.min(stored.saturating_mul(SHRINKAGE_MAX));
-    if content_bytes > max {
-        let declared = content_bytes;
-        return Err(EnvelopeError::Size { declared, max });
+    if declared > max {
+        return Err(format!(
+            "{declared} bytes of content declared, at most {max} possible; the file is damaged"
+        ));
     }
-    let mut content = Vec::with_capacity(content_bytes as usize);
-    DeflateDecoder::new(&bytes[HEADER_BYTES..])
-        .take(content_bytes + 1)
-        .read_to_end(&mut content)
-        .map_err(|_| EnvelopeError::Stream)?;
-    if content.len() as u64 != content_bytes {
-        return Err(EnvelopeError::Stream);
+    let mut content = Vec::with_capacity(declared as usize);
+    let read = DeflateDecoder::new(&bytes[HEADER_BYTES..])
+        .take(declared + 1)
+        .read_to_end(&mut content);
+    if read.is_err() || content.len() as u64 != declared {
+        return Err("the content cannot be decompressed; the file is damaged".into());
     }
     Ok(content)
 }

@@ -22,12 +22,12 @@ mod model_check;
 mod planes;
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-pub use container::EnvelopeError;
 pub(crate) use container::{open, seal};
 pub use model_check::{CELLS_MAX, NODES_MAX, POSITION_MAX_M, REGIONS_MAX};
-pub(crate) use planes::{Content, Reader, Short};
+use planes::Short;
+pub(crate) use planes::{Content, Reader};
 
 use crate::cell::{FACES, NO_CELL};
 use crate::staged::{Staged, WriteError};
@@ -42,32 +42,10 @@ const BOTTOMS_OUT: u8 = 2;
 /// Longest build report in bytes; a longer one is left out.
 const REPORT_BYTES_MAX: usize = 16 << 20;
 
-/// The reason why a model file cannot be read.
-#[derive(Debug, thiserror::Error)]
-pub enum FileError {
-    /// The operating system returned an error.
-    #[error("{}: {doing}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The failed operation.
-        doing: &'static str,
-        /// The error of the operating system.
-        source: std::io::Error,
-    },
-    /// Not a model file, of another version, or damaged.
-    #[error("invalid model file: {0}")]
-    Envelope(#[from] EnvelopeError),
-    /// The content contradicts itself.
-    #[error("inconsistent model file: the model {0}; build it again")]
-    Inconsistent(String),
-}
-
-impl From<Short> for FileError {
-    fn from(_: Short) -> Self {
-        Self::Inconsistent("ends before its declared content".into())
-    }
-}
+/// Why a model file or a snapshot cannot be read, with the remedy.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{0}")]
+pub struct FileError(pub(crate) String);
 
 /// Content of a model file.
 #[derive(Debug, Clone, PartialEq)]
@@ -86,7 +64,9 @@ impl ModelFile {
 
     /// Decodes a file and checks every number in it.
     pub fn decode(bytes: &[u8]) -> Result<Self, FileError> {
-        Self::from_content(&open(MAGIC, MODEL_FORMAT, bytes)?)
+        let content = open(MAGIC, MODEL_FORMAT, bytes)
+            .map_err(|defect| FileError(format!("invalid model file: {defect}")))?;
+        Self::from_content(&content)
     }
 
     /// The decompressed content of the envelope.
@@ -97,13 +77,21 @@ impl ModelFile {
     /// Decodes the content of a file and checks every number in it. The checksum keeps damage from
     /// [`decode`](Self::decode); crafted bytes arrive here.
     pub fn from_content(content: &[u8]) -> Result<Self, FileError> {
+        Self::consistent(content).map_err(|defect| {
+            FileError(format!(
+                "inconsistent model file: the model {defect}; build it again"
+            ))
+        })
+    }
+
+    fn consistent(content: &[u8]) -> Result<Self, String> {
         let mut reader = Reader(content);
         let model = read_model(&mut reader)?;
         let report_json = reader.text()?;
         if !reader.0.is_empty() {
-            return Err(FileError::Inconsistent("is followed by more".into()));
+            return Err("is followed by more".into());
         }
-        model_check::check(&model).map_err(FileError::Inconsistent)?;
+        model_check::check(&model)?;
         Ok(Self { model, report_json })
     }
 
@@ -120,10 +108,9 @@ impl ModelFile {
 
     /// Reads a file.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let bytes = read_if(MAGIC, path).map_err(|source| FileError::Io {
-            path: path.into(),
-            doing: "the model file could not be read",
-            source,
+        let bytes = read_if(MAGIC, path).map_err(|e| {
+            let path = path.display();
+            FileError(format!("{path}: the model file could not be read: {e}"))
         })?;
         Self::decode(&bytes)
     }
@@ -219,42 +206,15 @@ fn write_region(out: &mut Content, region: &Region) {
         out.f64(component);
     }
     let m = &region.material;
-    // Destructured, so that a new field of a material cannot be forgotten here.
-    let Material {
-        name: _,
-        young_pa,
-        poisson,
-        stiffening,
-        fibre_ratio,
-        fibre_axis,
-        compress_limit,
-        stretch_limit,
-        bottoms_out,
-        density_kg_m3,
-        friction_static,
-        friction_dynamic,
-        source: _,
-    } = *m;
-    let numbers = [
-        young_pa,
-        poisson,
-        stiffening,
-        fibre_ratio,
-        compress_limit,
-        stretch_limit,
-        density_kg_m3,
-        friction_static,
-        friction_dynamic,
-    ];
     out.text(&m.name);
-    let given = u8::from(fibre_axis != FibreAxis::Long);
-    out.u8((given * GIVEN_AXIS) | (u8::from(bottoms_out) * BOTTOMS_OUT));
-    if let FibreAxis::Given(axis) = fibre_axis {
+    let given = u8::from(m.fibre_axis != FibreAxis::Long);
+    out.u8((given * GIVEN_AXIS) | (u8::from(m.bottoms_out) * BOTTOMS_OUT));
+    if let FibreAxis::Given(axis) = m.fibre_axis {
         for component in axis {
             out.f64(component);
         }
     }
-    for number in numbers {
+    for number in m.numbers() {
         out.f64(number);
     }
     out.text(&m.source);
@@ -293,7 +253,7 @@ fn read_material(reader: &mut Reader<'_>) -> Result<Material, Short> {
     })
 }
 
-fn read_model(reader: &mut Reader<'_>) -> Result<Model, FileError> {
+fn read_model(reader: &mut Reader<'_>) -> Result<Model, String> {
     let nodes = reader.u32()? as usize;
     let cells = reader.u32()? as usize;
     let regions = reader.u32()? as usize;
@@ -303,8 +263,7 @@ fn read_model(reader: &mut Reader<'_>) -> Result<Model, FileError> {
         ("regions", regions, REGIONS_MAX),
     ] {
         if count > max {
-            let why = format!("declares {count} {what}; the limit is {max}");
-            return Err(FileError::Inconsistent(why));
+            return Err(format!("declares {count} {what}; the limit is {max}"));
         }
     }
     let spacing_m = reader.f64()?;
@@ -351,16 +310,16 @@ fn read_columns<T, const N: usize>(
     Ok(columns)
 }
 
-fn read_cells(reader: &mut Reader<'_>, nodes: usize, count: usize) -> Result<Vec<Cell>, FileError> {
+fn read_cells(reader: &mut Reader<'_>, nodes: usize, count: usize) -> Result<Vec<Cell>, String> {
     let corners: [Vec<u32>; 8] = read_columns(|| reader.steps32(count))?;
     let regions = reader.steps32(count)?;
     let bits = reader.bytes(count)?;
     let mut around = vec![[NO_CELL; 8]; nodes];
     for (c, column) in corners.iter().enumerate() {
         for (cell, &node) in column.iter().enumerate() {
-            let slots = around.get_mut(node as usize).ok_or_else(|| {
-                FileError::Inconsistent(format!("has cell {cell} on node {node} of {nodes}"))
-            })?;
+            let slots = around
+                .get_mut(node as usize)
+                .ok_or_else(|| format!("has cell {cell} on node {node} of {nodes}"))?;
             slots[c] = cell as u32;
         }
     }
@@ -371,9 +330,9 @@ fn read_cells(reader: &mut Reader<'_>, nodes: usize, count: usize) -> Result<Vec
         let corner = FACES[face][0];
         let node = corners[corner][cell];
         match around[node as usize][corner ^ (1 << (face / 2))] {
-            NO_CELL => Err(FileError::Inconsistent(format!(
+            NO_CELL => Err(format!(
                 "declares a neighbour across face {face} of cell {cell}, but there is none"
-            ))),
+            )),
             other => Ok(other),
         }
     };

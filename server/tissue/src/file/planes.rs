@@ -52,8 +52,13 @@ impl Content {
 }
 
 /// The content ended before what it declares, or a text is not one.
-#[derive(Debug)]
 pub(crate) struct Short;
+
+impl From<Short> for String {
+    fn from(_: Short) -> Self {
+        "ends before its declared content".into()
+    }
+}
 
 /// Content being read.
 pub(crate) struct Reader<'a>(pub(crate) &'a [u8]);

@@ -4,51 +4,34 @@
 //! scene can raise the value with the volume term. None stiffens and none has fibres: both depend on the site
 //! and the application, so a scene sets them where needed.
 
-use super::{Material, POISSON_OF_SPRINGS};
+use super::Material;
 
 /// Names of the built-in materials, in listing order.
-pub const MATERIAL_NAMES: [&str; 20] = [
-    "skin",
-    "fat",
-    "muscle",
-    "tendon",
-    "fascia",
-    "bone",
-    "cancellous",
-    "marrow",
-    "cartilage",
-    "vessel",
-    "liver",
-    "spleen",
-    "kidney",
-    "gallbladder",
-    "lung",
-    "foam",
-    "rubber",
-    "abs",
-    "pla",
-    "polycarbonate",
-];
+pub const MATERIAL_NAMES: [&str; ENTRIES.len()] = {
+    let mut names = [""; ENTRIES.len()];
+    let mut i = 0;
+    while i < names.len() {
+        names[i] = ENTRIES[i].name;
+        i += 1;
+    }
+    names
+};
 
 /// Values of a library entry; the others are those of [`Material::default`].
 struct Entry {
+    name: &'static str,
     young_kpa: f64,
-    poisson: f64,
     density_kg_m3: f64,
     /// Static and dynamic.
     friction: [f64; 2],
     source: &'static str,
 }
 
-/// A built-in material.
 pub(super) fn built_in(name: &str) -> Option<Material> {
-    let entry = connective(name)
-        .or_else(|| organ(name))
-        .or_else(|| product(name))?;
+    let entry = ENTRIES.iter().find(|entry| entry.name == name)?;
     Some(Material {
         name: name.to_owned(),
         young_pa: entry.young_kpa * 1e3,
-        poisson: entry.poisson,
         density_kg_m3: entry.density_kg_m3,
         friction_static: entry.friction[0],
         friction_dynamic: entry.friction[1],
@@ -63,203 +46,186 @@ const WET: [f64; 2] = [0.2, 0.15];
 /// Smooth serous surfaces of organs.
 const SLIPPERY: [f64; 2] = [0.15, 0.1];
 
-/// Skin, subcutaneous and connective tissue.
-fn connective(name: &str) -> Option<Entry> {
-    Some(match name {
-        "skin" => Entry {
-            young_kpa: 130.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1090.0,
-            friction: [0.5, 0.4],
-            source: "E: Diridollou et al. 2000 (suction on the forearm in vivo, 129 kPa); Poisson's \
-                     ratio in the literature 0.48-0.5; density: ICRU Report 46, 1992; friction: \
-                     Derler and Gerhardt 2012 (review, dry skin)",
-        },
-        "fat" => Entry {
-            young_kpa: 3.25,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 950.0,
-            friction: WET,
-            source: "E: Samani et al. 2007 (breast adipose tissue, 3.25 kPa); Poisson's ratio in \
-                     the literature 0.49-0.5; density: ICRU Report 46, 1992; friction: order of \
-                     magnitude for wet tissue",
-        },
-        "muscle" => Entry {
-            young_kpa: 12.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1050.0,
-            friction: WET,
-            source: "E: order of magnitude from Gennisson et al. 2010 (elastography of the relaxed \
-                     biceps, across the fibres; several times that along them); Poisson's ratio in \
-                     the literature 0.45-0.5; density: ICRU Report 46, 1992; friction: order of \
-                     magnitude for wet tissue",
-        },
-        "tendon" => Entry {
-            young_kpa: 1.2e6,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_120.0,
-            friction: WET,
-            source: "E: Maganaris and Paul 1999 (tibialis anterior in vivo, along the fibres, \
-                     1.2 GPa), taken for all directions; Poisson's ratio of the ground substance \
-                     0.4-0.5, order of magnitude; density: order of magnitude of dense connective \
-                     tissue; friction: order of magnitude for wet tissue",
-        },
-        "fascia" => Entry {
-            young_kpa: 1_000.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_100.0,
-            friction: WET,
-            source: "E: order of magnitude (MPa) from uniaxial tests of the human rectus sheath; \
-                     Poisson's ratio 0.4-0.5, order of magnitude; density: order of magnitude of \
-                     dense connective tissue; friction: order of magnitude for wet tissue",
-        },
-        "bone" => Entry {
-            young_kpa: 18.6e6,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1920.0,
-            friction: [0.3, 0.25],
-            source: "E: Rho, Ashman and Turner 1993 (cortical bone, microtensile, 18.6 GPa); \
-                     Poisson's ratio in the literature 0.3; density: ICRU Report 46, 1992 \
-                     (cortical); friction: order of magnitude for a wet solid",
-        },
-        "cancellous" => Entry {
-            young_kpa: 300e3,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_180.0,
-            friction: [0.3, 0.25],
-            source: "E: order of magnitude (tens of MPa to a GPa by site and density) of human \
-                     trabecular bone; Poisson's ratio 0.3, order of magnitude; density: ICRU \
-                     Report 46, 1992 (spongiosa); friction: order of magnitude for a wet solid",
-        },
-        "marrow" => Entry {
-            young_kpa: 2.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 980.0,
-            friction: WET,
-            source: "E: order of magnitude from Jansen et al. 2015 (intact porcine marrow, 0.25 to \
-                     25 kPa); Poisson's ratio 0.49, order of magnitude; density: ICRU Report 46, \
-                     1992 (yellow marrow); friction: order of magnitude for wet tissue",
-        },
-        "cartilage" => Entry {
-            young_kpa: 600.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_100.0,
-            friction: [0.05, 0.03],
-            source: "E: order of magnitude from Athanasiou et al. 1991 (aggregate modulus of the \
-                     distal femur); Poisson's ratio near 0.5 under a quick press, lower when it has \
-                     drained, order of magnitude; density: ICRU Report 46, 1992; friction: order of \
-                     magnitude for wet cartilage",
-        },
-        "vessel" => Entry {
-            young_kpa: 500.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_100.0,
-            friction: SLIPPERY,
-            source: "E: order of magnitude from Learoyd and Taylor 1966 (human arterial wall); \
-                     Poisson's ratio 0.49, order of magnitude; density: order of magnitude of \
-                     connective tissue; friction: order of magnitude for wet tissue",
-        },
-        _ => return None,
-    })
-}
-
-/// The organs of the trunk.
-fn organ(name: &str) -> Option<Entry> {
-    Some(match name {
-        "liver" => Entry {
-            young_kpa: 5.5,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1060.0,
-            friction: SLIPPERY,
-            source: "E: Roulot et al. 2008 (transient elastography of healthy people, 5.5 kPa); \
-                     Poisson's ratio 0.49, order of magnitude; density: ICRU Report 46, 1992; \
-                     friction: order of magnitude for wet tissue",
-        },
-        "spleen" => Entry {
-            young_kpa: 15.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_060.0,
-            friction: SLIPPERY,
-            source: "E: order of magnitude (10-20 kPa) of elastography in healthy people; Poisson's \
-                     ratio 0.49, order of magnitude; density: ICRU Report 46, 1992; friction: order \
-                     of magnitude for wet tissue",
-        },
-        "kidney" => Entry {
-            young_kpa: 10.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_050.0,
-            friction: SLIPPERY,
-            source: "E: order of magnitude (5-20 kPa) of elastography in healthy people; Poisson's \
-                     ratio 0.49, order of magnitude; density: ICRU Report 46, 1992; friction: order \
-                     of magnitude for wet tissue",
-        },
-        "gallbladder" => Entry {
-            young_kpa: 10.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_030.0,
-            friction: SLIPPERY,
-            source: "everything an order of magnitude: a soft wall around a liquid, taken as one \
-                     soft solid; Poisson's ratio 0.49",
-        },
-        "lung" => Entry {
-            young_kpa: 2.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 260.0,
-            friction: SLIPPERY,
-            source: "E: order of magnitude (1-5 kPa) of lung parenchyma; Poisson's ratio 0.3-0.4, \
-                     order of magnitude; density: ICRU Report 46, 1992 (inflated); friction: order \
-                     of magnitude for wet tissue",
-        },
-        _ => return None,
-    })
-}
-
-/// Technical materials of products and tools.
-fn product(name: &str) -> Option<Entry> {
-    Some(match name {
-        "foam" => Entry {
-            young_kpa: 50.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 40.0,
-            friction: [0.6, 0.5],
-            source: "order of magnitude from Gibson and Ashby 1997 (flexible polyurethane foam); \
-                     Poisson's ratio 0.3, order of magnitude; friction: order of magnitude",
-        },
-        "rubber" => Entry {
-            young_kpa: 1_500.0,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_100.0,
-            friction: [0.9, 0.7],
-            source: "order of magnitude from Ashby, Materials Selection in Mechanical Design (soft \
-                     natural rubber); Poisson's ratio 0.49-0.5; friction: order of magnitude",
-        },
-        "abs" => Entry {
-            young_kpa: 2.2e6,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_050.0,
-            friction: [0.35, 0.3],
-            source: "order of magnitude from Ashby, Materials Selection in Mechanical Design (ABS); \
-                     Poisson's ratio 0.35-0.4; friction: order of magnitude",
-        },
-        "pla" => Entry {
-            young_kpa: 3.5e6,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_240.0,
-            friction: [0.35, 0.3],
-            source: "order of magnitude from Ashby, Materials Selection in Mechanical Design \
-                     (polylactide); Poisson's ratio 0.35-0.4; friction: order of magnitude",
-        },
-        "polycarbonate" => Entry {
-            young_kpa: 2.3e6,
-            poisson: POISSON_OF_SPRINGS,
-            density_kg_m3: 1_200.0,
-            friction: [0.35, 0.3],
-            source: "order of magnitude from Ashby, Materials Selection in Mechanical Design \
-                     (polycarbonate); Poisson's ratio 0.37-0.4; friction: order of magnitude",
-        },
-        _ => return None,
-    })
-}
+/// The entries, in listing order: connective tissue, organs of the trunk, technical materials.
+const ENTRIES: [Entry; 20] = [
+    Entry {
+        name: "skin",
+        young_kpa: 130.0,
+        density_kg_m3: 1090.0,
+        friction: [0.5, 0.4],
+        source: "E: Diridollou et al. 2000 (suction on the forearm in vivo, 129 kPa); Poisson's \
+                 ratio in the literature 0.48-0.5; density: ICRU Report 46, 1992; friction: \
+                 Derler and Gerhardt 2012 (review, dry skin)",
+    },
+    Entry {
+        name: "fat",
+        young_kpa: 3.25,
+        density_kg_m3: 950.0,
+        friction: WET,
+        source: "E: Samani et al. 2007 (breast adipose tissue, 3.25 kPa); Poisson's ratio in \
+                 the literature 0.49-0.5; density: ICRU Report 46, 1992; friction: order of \
+                 magnitude for wet tissue",
+    },
+    Entry {
+        name: "muscle",
+        young_kpa: 12.0,
+        density_kg_m3: 1050.0,
+        friction: WET,
+        source: "E: order of magnitude from Gennisson et al. 2010 (elastography of the relaxed \
+                 biceps, across the fibres; several times that along them); Poisson's ratio in \
+                 the literature 0.45-0.5; density: ICRU Report 46, 1992; friction: order of \
+                 magnitude for wet tissue",
+    },
+    Entry {
+        name: "tendon",
+        young_kpa: 1.2e6,
+        density_kg_m3: 1_120.0,
+        friction: WET,
+        source: "E: Maganaris and Paul 1999 (tibialis anterior in vivo, along the fibres, \
+                 1.2 GPa), taken for all directions; Poisson's ratio of the ground substance \
+                 0.4-0.5, order of magnitude; density: order of magnitude of dense connective \
+                 tissue; friction: order of magnitude for wet tissue",
+    },
+    Entry {
+        name: "fascia",
+        young_kpa: 1_000.0,
+        density_kg_m3: 1_100.0,
+        friction: WET,
+        source: "E: order of magnitude (MPa) from uniaxial tests of the human rectus sheath; \
+                 Poisson's ratio 0.4-0.5, order of magnitude; density: order of magnitude of \
+                 dense connective tissue; friction: order of magnitude for wet tissue",
+    },
+    Entry {
+        name: "bone",
+        young_kpa: 18.6e6,
+        density_kg_m3: 1920.0,
+        friction: [0.3, 0.25],
+        source: "E: Rho, Ashman and Turner 1993 (cortical bone, microtensile, 18.6 GPa); \
+                 Poisson's ratio in the literature 0.3; density: ICRU Report 46, 1992 \
+                 (cortical); friction: order of magnitude for a wet solid",
+    },
+    Entry {
+        name: "cancellous",
+        young_kpa: 300e3,
+        density_kg_m3: 1_180.0,
+        friction: [0.3, 0.25],
+        source: "E: order of magnitude (tens of MPa to a GPa by site and density) of human \
+                 trabecular bone; Poisson's ratio 0.3, order of magnitude; density: ICRU \
+                 Report 46, 1992 (spongiosa); friction: order of magnitude for a wet solid",
+    },
+    Entry {
+        name: "marrow",
+        young_kpa: 2.0,
+        density_kg_m3: 980.0,
+        friction: WET,
+        source: "E: order of magnitude from Jansen et al. 2015 (intact porcine marrow, 0.25 to \
+                 25 kPa); Poisson's ratio 0.49, order of magnitude; density: ICRU Report 46, \
+                 1992 (yellow marrow); friction: order of magnitude for wet tissue",
+    },
+    Entry {
+        name: "cartilage",
+        young_kpa: 600.0,
+        density_kg_m3: 1_100.0,
+        friction: [0.05, 0.03],
+        source: "E: order of magnitude from Athanasiou et al. 1991 (aggregate modulus of the \
+                 distal femur); Poisson's ratio near 0.5 under a quick press, lower when it has \
+                 drained, order of magnitude; density: ICRU Report 46, 1992; friction: order of \
+                 magnitude for wet cartilage",
+    },
+    Entry {
+        name: "vessel",
+        young_kpa: 500.0,
+        density_kg_m3: 1_100.0,
+        friction: SLIPPERY,
+        source: "E: order of magnitude from Learoyd and Taylor 1966 (human arterial wall); \
+                 Poisson's ratio 0.49, order of magnitude; density: order of magnitude of \
+                 connective tissue; friction: order of magnitude for wet tissue",
+    },
+    Entry {
+        name: "liver",
+        young_kpa: 5.5,
+        density_kg_m3: 1060.0,
+        friction: SLIPPERY,
+        source: "E: Roulot et al. 2008 (transient elastography of healthy people, 5.5 kPa); \
+                 Poisson's ratio 0.49, order of magnitude; density: ICRU Report 46, 1992; \
+                 friction: order of magnitude for wet tissue",
+    },
+    Entry {
+        name: "spleen",
+        young_kpa: 15.0,
+        density_kg_m3: 1_060.0,
+        friction: SLIPPERY,
+        source: "E: order of magnitude (10-20 kPa) of elastography in healthy people; Poisson's \
+                 ratio 0.49, order of magnitude; density: ICRU Report 46, 1992; friction: order \
+                 of magnitude for wet tissue",
+    },
+    Entry {
+        name: "kidney",
+        young_kpa: 10.0,
+        density_kg_m3: 1_050.0,
+        friction: SLIPPERY,
+        source: "E: order of magnitude (5-20 kPa) of elastography in healthy people; Poisson's \
+                 ratio 0.49, order of magnitude; density: ICRU Report 46, 1992; friction: order \
+                 of magnitude for wet tissue",
+    },
+    Entry {
+        name: "gallbladder",
+        young_kpa: 10.0,
+        density_kg_m3: 1_030.0,
+        friction: SLIPPERY,
+        source: "everything an order of magnitude: a soft wall around a liquid, taken as one \
+                 soft solid; Poisson's ratio 0.49",
+    },
+    Entry {
+        name: "lung",
+        young_kpa: 2.0,
+        density_kg_m3: 260.0,
+        friction: SLIPPERY,
+        source: "E: order of magnitude (1-5 kPa) of lung parenchyma; Poisson's ratio 0.3-0.4, \
+                 order of magnitude; density: ICRU Report 46, 1992 (inflated); friction: order \
+                 of magnitude for wet tissue",
+    },
+    Entry {
+        name: "foam",
+        young_kpa: 50.0,
+        density_kg_m3: 40.0,
+        friction: [0.6, 0.5],
+        source: "order of magnitude from Gibson and Ashby 1997 (flexible polyurethane foam); \
+                 Poisson's ratio 0.3, order of magnitude; friction: order of magnitude",
+    },
+    Entry {
+        name: "rubber",
+        young_kpa: 1_500.0,
+        density_kg_m3: 1_100.0,
+        friction: [0.9, 0.7],
+        source: "order of magnitude from Ashby, Materials Selection in Mechanical Design (soft \
+                 natural rubber); Poisson's ratio 0.49-0.5; friction: order of magnitude",
+    },
+    Entry {
+        name: "abs",
+        young_kpa: 2.2e6,
+        density_kg_m3: 1_050.0,
+        friction: [0.35, 0.3],
+        source: "order of magnitude from Ashby, Materials Selection in Mechanical Design (ABS); \
+                 Poisson's ratio 0.35-0.4; friction: order of magnitude",
+    },
+    Entry {
+        name: "pla",
+        young_kpa: 3.5e6,
+        density_kg_m3: 1_240.0,
+        friction: [0.35, 0.3],
+        source: "order of magnitude from Ashby, Materials Selection in Mechanical Design \
+                 (polylactide); Poisson's ratio 0.35-0.4; friction: order of magnitude",
+    },
+    Entry {
+        name: "polycarbonate",
+        young_kpa: 2.3e6,
+        density_kg_m3: 1_200.0,
+        friction: [0.35, 0.3],
+        source: "order of magnitude from Ashby, Materials Selection in Mechanical Design \
+                 (polycarbonate); Poisson's ratio 0.37-0.4; friction: order of magnitude",
+    },
+];
 
 #[cfg(test)]
 mod tests {
@@ -267,7 +233,7 @@ mod tests {
 
     #[test]
     fn built_in_materials_are_in_range_and_cite_a_source() {
-        for name in MATERIAL_NAMES {
+        for Entry { name, .. } in ENTRIES {
             let material = built_in(name).unwrap();
             assert_eq!(material.clone().checked(), Ok(material.clone()), "{name}");
             assert!(material.source.len() > 40, "{name}");

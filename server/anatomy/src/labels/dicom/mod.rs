@@ -12,9 +12,12 @@ use dicom_object::{InMemDicomObject, OpenFileOptions, Tag};
 use nalgebra::Matrix3;
 use palpate_tissue::Vec3;
 
+use crate::InputError;
 use crate::labels::samples::{Coding, Gather, SampleType};
-use crate::labels::volume::checked_size;
-use crate::labels::{Affine, LabelError, LabelVolume};
+use crate::labels::volume::{
+    bad_orientation, broken, checked_size, not_labels, not_one_volume, not_whole,
+};
+use crate::labels::{Affine, LabelVolume};
 
 /// Most files of a folder that are read. Reason: a whole body at 1 mm has 2000 slices. Beyond the bound the
 /// folder is rejected.
@@ -56,6 +59,9 @@ const PLAIN_SYNTAXES: [&str; 3] = [
     "1.2.840.10008.1.2.2",
 ];
 
+/// Origin of an orientation in messages.
+const FROM: &str = "DICOM headers";
+
 /// Header fields of one file.
 #[derive(Debug, Clone)]
 struct Header {
@@ -82,7 +88,7 @@ struct Slice {
 }
 
 /// Reads a folder, or one file.
-pub(super) fn read(path: &Path) -> Result<LabelVolume, LabelError> {
+pub(super) fn read(path: &Path) -> Result<LabelVolume, InputError> {
     let headers = headers(path)?;
     refuse_mixtures(path, &headers)?;
     let first = &headers[0];
@@ -96,10 +102,8 @@ pub(super) fn read(path: &Path) -> Result<LabelVolume, LabelError> {
     let to_world = Affine {
         linear: Matrix3::from_columns(&columns),
         origin: to_ras(slices[0].at),
-    };
-    if let Some(what) = to_world.fault() {
-        return Err(orientation(path, what));
     }
+    .checked(path, FROM)?;
     Ok(LabelVolume {
         size,
         labels: pixels(path, size, &headers, &slices)?,
@@ -108,42 +112,19 @@ pub(super) fn read(path: &Path) -> Result<LabelVolume, LabelError> {
     })
 }
 
-fn orientation(path: &Path, what: String) -> LabelError {
-    LabelError::Orientation {
-        path: path.to_owned(),
-        from: "DICOM headers".into(),
-        what,
-    }
-}
-
-fn broken(path: &Path, place: &str, what: impl Into<String>) -> LabelError {
-    LabelError::Broken {
-        path: path.to_owned(),
-        place: place.to_owned(),
-        what: what.into(),
-    }
-}
-
 /// The headers of all DICOM files of a folder, by name; other files are skipped.
-fn headers(path: &Path) -> Result<Vec<Header>, LabelError> {
-    let io = |source| LabelError::Io {
-        path: path.to_owned(),
-        source,
-    };
+fn headers(path: &Path) -> Result<Vec<Header>, InputError> {
     if !path.is_dir() {
         return Ok(vec![Header::read(path)?]);
     }
     let mut files = Vec::new();
-    for entry in std::fs::read_dir(path).map_err(io)? {
-        let file = entry.map_err(io)?.path();
+    for entry in std::fs::read_dir(path).map_err(InputError::io(path))? {
+        let file = entry.map_err(InputError::io(path))?.path();
         if file.is_file() {
             files.push(file);
         }
         if files.len() > FILES_MAX {
-            return Err(LabelError::Dimensions {
-                path: path.to_owned(),
-                what: format!("more than {FILES_MAX} files"),
-            });
+            return Err(not_one_volume(path, format!("more than {FILES_MAX} files")));
         }
     }
     files.sort();
@@ -152,10 +133,7 @@ fn headers(path: &Path) -> Result<Vec<Header>, LabelError> {
         headers.push(Header::read(file)?);
     }
     if headers.is_empty() {
-        return Err(LabelError::NotALabelVolume {
-            path: path.to_owned(),
-            what: "no file in this folder is DICOM".into(),
-        });
+        return Err(not_labels(path, "no file in this folder is DICOM"));
     }
     Ok(headers)
 }
@@ -169,12 +147,12 @@ fn is_dicom(path: &Path) -> bool {
 }
 
 impl Header {
-    fn read(path: &Path) -> Result<Self, LabelError> {
-        lengths::check(path).map_err(|e| broken(path, "elements", e.to_string()))?;
+    fn read(path: &Path) -> Result<Self, InputError> {
+        lengths::check(path).map_err(|e| broken(path, "elements", e))?;
         let object = OpenFileOptions::new()
             .read_until(PIXEL_DATA)
             .open_file(path)
-            .map_err(|e| broken(path, "header", e.to_string()))?;
+            .map_err(|e| broken(path, "header", e))?;
         let syntax = object
             .meta()
             .transfer_syntax()
@@ -246,34 +224,31 @@ fn item(of: &InMemDicomObject, tag: Tag) -> Option<&InMemDicomObject> {
 }
 
 impl Fields<'_> {
-    fn missing(&self, name: &str) -> LabelError {
+    fn missing(&self, name: &str) -> InputError {
         broken(self.path, name, "this attribute is missing or unreadable")
     }
 
-    fn whole(&self, tag: Tag, name: &str) -> Result<u64, LabelError> {
+    fn whole(&self, tag: Tag, name: &str) -> Result<u64, InputError> {
         let value = self.object.get(tag).and_then(|e| e.to_int::<u32>().ok());
         value.map(u64::from).ok_or_else(|| self.missing(name))
     }
 
     /// Segmentation objects hold one mask per segment, not labels, unless they are label maps.
-    fn refuse_segments(&self) -> Result<(), LabelError> {
+    fn refuse_segments(&self) -> Result<(), InputError> {
         let kind = self.object.get(SEGMENTATION_TYPE);
         let kind = kind.and_then(|e| e.to_str().ok()).unwrap_or_default();
         let kind = kind.trim();
         if kind.is_empty() || kind == "LABELMAP" {
             return Ok(());
         }
-        Err(LabelError::SampleType {
-            path: self.path.to_owned(),
-            what: format!("masks of a segmentation object ({kind}), one per segment"),
-        })
+        Err(not_whole(
+            self.path,
+            format!("masks of a segmentation object ({kind}), one per segment"),
+        ))
     }
 
-    fn sample(&self) -> Result<SampleType, LabelError> {
-        let wrong = |what: String| LabelError::SampleType {
-            path: self.path.to_owned(),
-            what,
-        };
+    fn sample(&self) -> Result<SampleType, InputError> {
+        let wrong = |what: String| not_whole(self.path, what);
         let samples = self
             .whole(SAMPLES_PER_PIXEL, "samples per pixel")
             .unwrap_or(1);
@@ -291,7 +266,7 @@ impl Fields<'_> {
     }
 
     /// Where each frame begins.
-    fn frames(&self, steps: [Vec3; 2], thickness: Option<f64>) -> Result<Vec<Vec3>, LabelError> {
+    fn frames(&self, steps: [Vec3; 2], thickness: Option<f64>) -> Result<Vec<Vec3>, InputError> {
         let position = |of: &InMemDicomObject| match numbers(of, POSITION).as_deref() {
             Some([x, y, z]) => Some(Vec3::new(*x, *y, *z)),
             _ => None,
@@ -320,7 +295,7 @@ impl Fields<'_> {
             .try_normalize(0.0)
             .unwrap_or_default();
         if count > FILES_MAX {
-            return Err(broken(self.path, "number of frames", count.to_string()));
+            return Err(broken(self.path, "number of frames", count));
         }
         Ok((0..count)
             .map(|f| first + normal * (thickness * f as f64))
@@ -328,16 +303,18 @@ impl Fields<'_> {
     }
 }
 
-fn refuse_mixtures(path: &Path, headers: &[Header]) -> Result<(), LabelError> {
+fn refuse_mixtures(path: &Path, headers: &[Header]) -> Result<(), InputError> {
     let first = &headers[0];
     for header in headers {
-        let differs = |what: &str| LabelError::Dimensions {
-            path: path.to_owned(),
-            what: format!(
-                "{} and {} differ in their {what}; keep one series in a folder of its own",
-                first.path.display(),
-                header.path.display()
-            ),
+        let differs = |what: &str| {
+            not_one_volume(
+                path,
+                format!(
+                    "{} and {} differ in their {what}; keep one series in a folder of its own",
+                    first.path.display(),
+                    header.path.display()
+                ),
+            )
         };
         if header.series != first.series {
             return Err(differs("series"));
@@ -372,16 +349,16 @@ fn sorted(headers: &[Header]) -> Vec<Slice> {
 }
 
 /// The step from a slice to the next in mm; slices must be evenly spaced.
-fn slice_step(path: &Path, first: &Header, slices: &[Slice]) -> Result<Vec3, LabelError> {
+fn slice_step(path: &Path, first: &Header, slices: &[Slice]) -> Result<Vec3, InputError> {
     let normal = first.steps[0].cross(&first.steps[1]);
     let normal = normal
         .try_normalize(0.0)
-        .ok_or_else(|| orientation(path, "rows and columns have one direction".into()))?;
+        .ok_or_else(|| bad_orientation(path, FROM, "rows and columns have one direction"))?;
     if slices.len() == 1 {
         let thickness = first.thickness;
         return thickness
             .map(|t| normal * t)
-            .ok_or_else(|| orientation(path, "one slice, and no thickness of it".into()));
+            .ok_or_else(|| bad_orientation(path, FROM, "one slice, and no thickness of it"));
     }
     let step = (slices[slices.len() - 1].at - slices[0].at) / (slices.len() - 1) as f64;
     let even = step.norm();
@@ -394,7 +371,7 @@ fn slice_step(path: &Path, first: &Header, slices: &[Slice]) -> Result<Vec3, Lab
                 pair[0].frame,
                 pair[1].frame
             );
-            return Err(orientation(path, what));
+            return Err(bad_orientation(path, FROM, what));
         }
         if (gap - step).norm() > GAP_MAX * even {
             let what = format!(
@@ -403,7 +380,7 @@ fn slice_step(path: &Path, first: &Header, slices: &[Slice]) -> Result<Vec3, Lab
                 gap.norm(),
                 n + 1
             );
-            return Err(orientation(path, what));
+            return Err(bad_orientation(path, FROM, what));
         }
     }
     Ok(step)
@@ -414,7 +391,7 @@ fn pixels(
     size: [usize; 3],
     headers: &[Header],
     slices: &[Slice],
-) -> Result<Vec<u16>, LabelError> {
+) -> Result<Vec<u16>, InputError> {
     let mut gather = Gather::new(path, size);
     let count = size[0] * size[1];
     let mut open: Option<(usize, Vec<u8>)> = None;
@@ -442,14 +419,13 @@ fn pixels(
     gather.finish()
 }
 
-fn pixel_bytes(path: &Path) -> Result<Vec<u8>, LabelError> {
-    let object =
-        dicom_object::open_file(path).map_err(|e| broken(path, "pixel data", e.to_string()))?;
+fn pixel_bytes(path: &Path) -> Result<Vec<u8>, InputError> {
+    let object = dicom_object::open_file(path).map_err(|e| broken(path, "pixel data", e))?;
     let element = object
         .element(PIXEL_DATA)
-        .map_err(|e| broken(path, "pixel data", e.to_string()))?;
+        .map_err(|e| broken(path, "pixel data", e))?;
     let bytes = element
         .to_bytes()
-        .map_err(|e| broken(path, "pixel data", e.to_string()))?;
+        .map_err(|e| broken(path, "pixel data", e))?;
     Ok(bytes.into_owned())
 }

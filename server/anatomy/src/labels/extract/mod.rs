@@ -25,9 +25,9 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::{LabelError, LabelVolume};
-use crate::Surface;
+use super::LabelVolume;
 use crate::scene::REGIONS_MAX;
+use crate::{InputError, Surface};
 pub use net::NET_VERTICES_MAX;
 use net::Net;
 use voxel_grid::{BEYOND, Grid, OUTSIDE};
@@ -76,7 +76,7 @@ pub fn surfaces(
     regions: &[LabelRegion],
     wrap: bool,
     finest_m: f64,
-) -> Result<Vec<RegionSurface>, LabelError> {
+) -> Result<Vec<RegionSurface>, InputError> {
     assert!(
         regions.len() <= REGIONS_MAX,
         "more regions than a scene has"
@@ -86,10 +86,11 @@ pub fn surfaces(
     let voxels = grid.counts(regions.len());
     if let Some(r) = voxels.iter().position(|n| *n == 0) {
         let labels: Vec<String> = regions[r].labels.iter().map(u16::to_string).collect();
-        return Err(LabelError::NothingLeft {
-            path: path.to_owned(),
-            labels: labels.join(", "),
-        });
+        let what = format!(
+            "later regions take every voxel of label {}, none is left; give each region a label of its own",
+            labels.join(", ")
+        );
+        return Err(InputError::of(path, what));
     }
     let (grid, joined) = grid.coarsened(finest_m, regions.len());
     let mut net = Net::of(&grid, path)?;
@@ -117,17 +118,15 @@ fn region_of(
     volume: &LabelVolume,
     path: &Path,
     regions: &[LabelRegion],
-) -> Result<Vec<u8>, LabelError> {
+) -> Result<Vec<u8>, InputError> {
     let counts = volume.counts();
     let mut region_of = vec![OUTSIDE; usize::from(u16::MAX) + 1];
     for (r, region) in regions.iter().enumerate() {
         for &label in &region.labels {
             if counts.binary_search_by_key(&label, |c| c.0).is_err() {
-                return Err(LabelError::NoSuchLabel {
-                    path: path.to_owned(),
-                    label,
-                    present: volume.present(),
-                });
+                let present = volume.present();
+                let what = format!("label {label} does not occur; the volume holds {present}");
+                return Err(InputError::of(path, what));
             }
             region_of[usize::from(label)] = r as u8 + 1;
         }

@@ -8,7 +8,8 @@ use rayon::prelude::*;
 
 use super::fans::{self, face};
 use super::voxel_grid::{BEYOND, Grid, OUTSIDE};
-use crate::labels::{Affine, LabelError};
+use crate::InputError;
+use crate::labels::Affine;
 
 /// No vertex in this direction.
 pub(super) const NONE: u32 = u32::MAX;
@@ -83,17 +84,18 @@ fn mixed(block: &[u8]) -> bool {
 }
 
 impl Net {
-    pub(super) fn of(grid: &Grid, path: &Path) -> Result<Self, LabelError> {
+    pub(super) fn of(grid: &Grid, path: &Path) -> Result<Self, InputError> {
         let layers = grid.size[2] - 1;
         let count: usize = (1..=layers)
             .into_par_iter()
             .map(|z| Blocks::new(grid, z).filter(|(_, b)| mixed(b)).count())
             .sum();
         if count > NET_VERTICES_MAX {
-            return Err(LabelError::TooRough {
-                path: path.to_owned(),
-                corners: count,
-            });
+            let what = format!(
+                "the regions meet at {count} corners of voxels, the limit is {NET_VERTICES_MAX}; crop or resample \
+                 the volume (is it a segmentation, and not noise?)"
+            );
+            return Err(InputError::of(path, what));
         }
         let by_layer: Vec<Vec<Corner>> = (1..=layers)
             .into_par_iter()

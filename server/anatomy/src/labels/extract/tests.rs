@@ -308,10 +308,7 @@ fn missing_labels_are_rejected() {
     let missing = missing.to_string();
     assert!(missing.contains("label 7 does not occur") && missing.contains("1, 2, 3"));
     let nothing = surfaces(&volume, path, &regions(&[&[1], &[1, 2]]), true, 0.0).unwrap_err();
-    assert!(
-        matches!(nothing, LabelError::NothingLeft { .. }),
-        "{nothing}"
-    );
+    assert!(nothing.to_string().contains("none is left"), "{nothing}");
 }
 
 #[test]

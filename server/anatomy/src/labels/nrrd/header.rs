@@ -6,9 +6,10 @@ use std::path::Path;
 use nalgebra::Matrix3;
 use palpate_tissue::Vec3;
 
+use crate::InputError;
+use crate::labels::Affine;
 use crate::labels::samples::SampleType;
-use crate::labels::volume::checked_size;
-use crate::labels::{Affine, LabelError};
+use crate::labels::volume::{broken, checked_size, not_labels, not_one_volume, not_whole};
 
 /// Largest header in bytes. Reason: with key/value pairs of a segmentation of hundreds of names it is some 100
 /// kB. Beyond the bound the file is rejected.
@@ -53,7 +54,7 @@ struct Fields<'a> {
 }
 
 impl<'a> Header<'a> {
-    pub(super) fn read(path: &'a Path, from: &mut impl BufRead) -> Result<Self, LabelError> {
+    pub(super) fn read(path: &'a Path, from: &mut impl BufRead) -> Result<Self, InputError> {
         let fields = Fields::read(path, from)?;
         let dimension: usize = fields.number("dimension")?;
         if !(1..=AXES_MAX).contains(&dimension) {
@@ -129,7 +130,7 @@ impl<'a> Header<'a> {
     }
 
     /// The three spatial axes of the file; all others must have one entry.
-    fn axes(&self) -> Result<[usize; 3], LabelError> {
+    fn axes(&self) -> Result<[usize; 3], InputError> {
         let mut spatial: Vec<usize> = (0..self.sizes.len()).collect();
         if let Some(directions) = &self.directions {
             spatial.retain(|a| directions[*a].is_some());
@@ -141,31 +142,28 @@ impl<'a> Header<'a> {
         }
         let surplus = (0..self.sizes.len()).find(|a| !spatial.contains(a) && self.sizes[*a] != 1);
         if let Some(a) = surplus {
-            return Err(LabelError::Dimensions {
-                path: self.path.to_owned(),
-                what: format!(
+            return Err(not_one_volume(
+                self.path,
+                format!(
                     "{} axes, and axis {} with {} entries is none of space: these are several \
                      volumes, or several components per voxel",
                     self.sizes.len(),
                     a + 1,
                     self.sizes[a]
                 ),
-            });
+            ));
         }
-        spatial
-            .try_into()
-            .map_err(|s: Vec<usize>| LabelError::Dimensions {
-                path: self.path.to_owned(),
-                what: format!("{} axes of space", s.len()),
-            })
+        spatial.try_into().map_err(|s: Vec<usize>| {
+            not_one_volume(self.path, format!("{} axes of space", s.len()))
+        })
     }
 
-    pub(super) fn size(&self) -> Result<[usize; 3], LabelError> {
+    pub(super) fn size(&self) -> Result<[usize; 3], InputError> {
         checked_size(self.path, self.axes()?.map(|a| self.sizes[a]))
     }
 
     /// Orientation in m, RAS, and warnings about it.
-    pub(super) fn to_world(&self) -> Result<(Affine, Vec<String>), LabelError> {
+    pub(super) fn to_world(&self) -> Result<(Affine, Vec<String>), InputError> {
         let axes = self.axes()?;
         let mut warnings = Vec::new();
         let in_space = match (&self.directions, &self.spacings) {
@@ -193,19 +191,13 @@ impl<'a> Header<'a> {
                 self.origin.unwrap_or_default()[r] * sign[r] * self.unit_m
             }),
         };
-        match affine.fault() {
-            Some(what) => Err(LabelError::Orientation {
-                path: self.path.to_owned(),
-                from: "header (space directions, spacings)".into(),
-                what,
-            }),
-            None => Ok((affine, warnings)),
-        }
+        let affine = affine.checked(self.path, "header (space directions, spacings)")?;
+        Ok((affine, warnings))
     }
 }
 
 impl<'a> Fields<'a> {
-    fn read(path: &'a Path, from: &mut impl BufRead) -> Result<Self, LabelError> {
+    fn read(path: &'a Path, from: &mut impl BufRead) -> Result<Self, InputError> {
         let mut this = Self {
             path,
             fields: Vec::new(),
@@ -215,18 +207,12 @@ impl<'a> Fields<'a> {
         for number in 1.. {
             bytes.clear();
             let got = from.read_until(b'\n', &mut bytes);
-            let got = got.map_err(|source| LabelError::Io {
-                path: path.to_owned(),
-                source,
-            })?;
+            let got = got.map_err(InputError::io(path))?;
             let text = String::from_utf8_lossy(&bytes);
             let line = text.trim_end_matches(['\n', '\r']);
             if number == 1 {
                 if !line.starts_with("NRRD000") {
-                    return Err(LabelError::NotALabelVolume {
-                        path: path.to_owned(),
-                        what: "this is not an NRRD file".into(),
-                    });
+                    return Err(not_labels(path, "this is not an NRRD file"));
                 }
                 continue;
             }
@@ -258,25 +244,21 @@ impl<'a> Fields<'a> {
         found.map(|f| f.2.as_str())
     }
 
-    fn needed(&self, key: &str) -> Result<&str, LabelError> {
+    fn needed(&self, key: &str) -> Result<&str, InputError> {
         self.get(key).ok_or_else(|| self.missing(key))
     }
 
-    fn missing(&self, key: &str) -> LabelError {
+    fn missing(&self, key: &str) -> InputError {
         self.broken(key, "this field is missing".into())
     }
 
-    fn broken(&self, key: &str, what: String) -> LabelError {
+    fn broken(&self, key: &str, what: String) -> InputError {
         let line = self.fields.iter().find(|f| f.1 == key);
         let line = line.map_or(String::new(), |f| format!(" (line {})", f.0));
-        LabelError::Broken {
-            path: self.path.to_owned(),
-            place: format!("NRRD header, {key}{line}"),
-            what,
-        }
+        broken(self.path, format!("NRRD header, {key}{line}"), what)
     }
 
-    fn numbers<T: std::str::FromStr>(&self, key: &str, text: &str) -> Result<Vec<T>, LabelError> {
+    fn numbers<T: std::str::FromStr>(&self, key: &str, text: &str) -> Result<Vec<T>, InputError> {
         text.split_whitespace()
             .map(|w| {
                 w.parse()
@@ -285,19 +267,19 @@ impl<'a> Fields<'a> {
             .collect()
     }
 
-    fn number<T: std::str::FromStr>(&self, key: &str) -> Result<T, LabelError> {
+    fn number<T: std::str::FromStr>(&self, key: &str) -> Result<T, InputError> {
         let text = self.needed(key)?;
         let word = text.trim();
         word.parse()
             .map_err(|_| self.broken(key, format!("\"{word:.40}\" is not such a number")))
     }
 
-    fn optional<T: std::str::FromStr>(&self, key: &str) -> Result<Option<T>, LabelError> {
+    fn optional<T: std::str::FromStr>(&self, key: &str) -> Result<Option<T>, InputError> {
         self.get(key).map(|_| self.number(key)).transpose()
     }
 
     /// "(x,y,z)".
-    fn vector(&self, key: &str, text: &str) -> Result<Vec3, LabelError> {
+    fn vector(&self, key: &str, text: &str) -> Result<Vec3, InputError> {
         let inner = text
             .trim()
             .strip_prefix('(')
@@ -311,7 +293,7 @@ impl<'a> Fields<'a> {
     }
 
     /// One vector or "none" per axis.
-    fn directions(&self, text: &str, axes: usize) -> Result<Vec<Option<Vec3>>, LabelError> {
+    fn directions(&self, text: &str, axes: usize) -> Result<Vec<Option<Vec3>>, InputError> {
         let key = "space directions";
         let mut found = Vec::new();
         let mut rest = text.trim();
@@ -337,7 +319,7 @@ impl<'a> Fields<'a> {
         }
     }
 
-    fn data_file(&self) -> Result<Option<String>, LabelError> {
+    fn data_file(&self) -> Result<Option<String>, InputError> {
         let Some(name) = self.get("data file") else {
             return Ok(None);
         };
@@ -349,7 +331,7 @@ impl<'a> Fields<'a> {
     }
 }
 
-fn sample_type(path: &Path, name: &str) -> Result<SampleType, LabelError> {
+fn sample_type(path: &Path, name: &str) -> Result<SampleType, InputError> {
     use SampleType::{F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
     let sample = match name.to_lowercase().as_str() {
         "signed char" | "int8" | "int8_t" => I8,
@@ -371,17 +353,14 @@ fn sample_type(path: &Path, name: &str) -> Result<SampleType, LabelError> {
         "float" => F32,
         "double" => F64,
         other => {
-            return Err(LabelError::SampleType {
-                path: path.to_owned(),
-                what: format!("of type \"{other:.40}\""),
-            });
+            return Err(not_whole(path, format!("of type \"{other:.40}\"")));
         }
     };
     Ok(sample)
 }
 
 /// Factors that turn the file's world axes into RAS, and the number of axes.
-fn space(fields: &Fields) -> Result<(Option<[f64; 3]>, usize), LabelError> {
+fn space(fields: &Fields) -> Result<(Option<[f64; 3]>, usize), InputError> {
     let Some(name) = fields.get("space") else {
         let axes = fields.optional("space dimension")?.unwrap_or(3);
         return Ok((None, axes));
@@ -399,7 +378,7 @@ fn space(fields: &Fields) -> Result<(Option<[f64; 3]>, usize), LabelError> {
     Ok((signs, 3))
 }
 
-fn unit(fields: &Fields) -> Result<f64, LabelError> {
+fn unit(fields: &Fields) -> Result<f64, InputError> {
     let Some(text) = fields.get("space units") else {
         return Ok(1e-3);
     };

@@ -10,16 +10,17 @@ use std::path::Path;
 
 use flate2::bufread::MultiGzDecoder;
 
+use super::LabelVolume;
 use super::samples::{Coding, Gather};
-use super::volume::{drain, open, surplus};
-use super::{LabelError, LabelVolume};
+use super::volume::{broken, drain, open, surplus};
+use crate::InputError;
 use header::{Encoding, Header};
 
 /// Longest number of an ascii data file in bytes. Reason: a double written in full has 25.
 const WORD_MAX: usize = 64;
 
 /// Reads a file.
-pub(super) fn read(path: &Path) -> Result<LabelVolume, LabelError> {
+pub(super) fn read(path: &Path) -> Result<LabelVolume, InputError> {
     let (file, _) = open(path)?;
     let mut attached = BufReader::new(file);
     let header = Header::read(path, &mut attached)?;
@@ -48,7 +49,7 @@ fn read_data(
     size: [usize; 3],
     mut from: BufReader<File>,
     warnings: &mut Vec<String>,
-) -> Result<Vec<u16>, LabelError> {
+) -> Result<Vec<u16>, InputError> {
     let mut gather = Gather::new(path, size);
     let voxels: usize = size.iter().product();
     skip_lines(&mut from, header.line_skip).map_err(|e| gather.stream_error(e))?;
@@ -123,7 +124,7 @@ fn skip_lines(from: &mut impl BufRead, lines: u64) -> std::io::Result<()> {
 }
 
 /// Numbers between white space (or commas), word by word.
-fn read_words(path: &Path, from: &mut impl BufRead, gather: &mut Gather) -> Result<(), LabelError> {
+fn read_words(path: &Path, from: &mut impl BufRead, gather: &mut Gather) -> Result<(), InputError> {
     let mut word = Vec::with_capacity(WORD_MAX);
     let mut count = 0_u64;
     while !gather.is_full() {
@@ -155,7 +156,7 @@ fn push_word(
     word: &mut Vec<u8>,
     count: &mut u64,
     gather: &mut Gather,
-) -> Result<(), LabelError> {
+) -> Result<(), InputError> {
     if word.is_empty() {
         return Ok(());
     }
@@ -166,10 +167,10 @@ fn push_word(
     gather.push(number)
 }
 
-fn not_a_number(path: &Path, count: u64, word: &[u8]) -> LabelError {
-    LabelError::Broken {
-        path: path.to_owned(),
-        place: format!("number {}", count + 1),
-        what: format!("\"{}\" is not a number", String::from_utf8_lossy(word)),
-    }
+fn not_a_number(path: &Path, count: u64, word: &[u8]) -> InputError {
+    broken(
+        path,
+        format!("number {}", count + 1),
+        format!("\"{}\" is not a number", String::from_utf8_lossy(word)),
+    )
 }
