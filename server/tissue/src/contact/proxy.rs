@@ -11,6 +11,10 @@ use crate::Vec3;
 
 /// Maximum steps of the search for the first touch on a free path; a longer path counts as a jump.
 const MARCH_MAX: usize = 64;
+/// Maximum searches of all steps together, one per step and sampling point of the tool. A plate of 256 points then takes four
+/// steps, 1 m/s at 250 solves per second. Without this bound a large plate that hovers over the tissue costs every
+/// site 0.1 s per solve.
+const SEARCHES_MAX: usize = 1024;
 /// Maximum travel per iteration in contact, in radii (of at least half a spacing).
 const TRAVEL: f64 = 0.5;
 
@@ -192,7 +196,8 @@ impl Proxy {
             return;
         }
         let steps = (length / stride).ceil() as usize;
-        if steps > MARCH_MAX {
+        let searches = self.points(spacing).len();
+        if steps > MARCH_MAX.min(SEARCHES_MAX / searches) {
             self.set(there.0, there.1);
             self.place(surface);
             return;
