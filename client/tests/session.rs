@@ -166,8 +166,11 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
     let peer = spawn_peer(connection, PeerId(1), clock, sender);
     while let Some(PeerInput { event, .. }) = inbox.recv().await {
         match event {
-            PeerEvent::Hello(_) if manner == Manner::Refuses => {
-                let refused = Refused::because(RefusalReason::Full { seats: 1 });
+            PeerEvent::Hello(hello) if manner == Manner::Refuses => {
+                let refused = Refused::because(RefusalReason::Full {
+                    role: hello.role,
+                    seats: 1,
+                });
                 peer.send(PeerMessage::Refused(refused));
             }
             PeerEvent::Hello(hello) if manner == Manner::LosesIt => {

@@ -93,6 +93,16 @@ impl LinkStats {
     }
 }
 
+/// A sent datagram.
+#[derive(Debug, Clone, Copy)]
+struct SentAt {
+    sequence: u32,
+    /// The time in it.
+    generated: ServerTime,
+    /// When it left.
+    left: ServerTime,
+}
+
 /// The datagram side of one end. Closed until [`open`](Self::open): earlier datagrams are noise.
 #[derive(Debug, Default)]
 pub(super) struct Link {
@@ -106,9 +116,12 @@ pub(super) struct Link {
     /// Baselines from the sent datagrams and from the received ones.
     sent: Memory,
     received: Memory,
-    /// The times in the newest sent datagrams by number, and in the newest acknowledged one.
-    sent_at: VecDeque<(u32, ServerTime)>,
+    /// The newest sent datagrams.
+    sent_at: VecDeque<SentAt>,
+    /// The time in the newest acknowledged one.
     known_at: Option<ServerTime>,
+    /// When the newest datagram left that the last accepted one was the first to acknowledge.
+    answered: Option<ServerTime>,
     /// The latest time in their datagrams.
     received_at: ServerTime,
     /// Datagrams that arrived since the last acknowledgement, and when that left.
@@ -133,6 +146,7 @@ impl Link {
     /// The content of a datagram that is to be read; everything else is counted.
     pub(super) fn accept(&mut self, bytes: &[u8]) -> Option<Datagram> {
         self.fresh.clear();
+        self.answered = None;
         let Some(tag) = self.tag else {
             self.stats.noise.early += 1;
             return None;
@@ -212,9 +226,9 @@ impl Link {
         if self.acknowledged.insert(sequence).is_fresh() {
             self.sent.acknowledge(sequence);
             self.fresh.push(sequence);
-            let sent = self.sent_at.iter().find(|(n, _)| *n == sequence);
-            if let Some((_, time)) = sent {
-                self.known_at = self.known_at.max(Some(*time));
+            if let Some(sent) = self.sent_at.iter().find(|s| s.sequence == sequence) {
+                self.known_at = self.known_at.max(Some(sent.generated));
+                self.answered = self.answered.max(Some(sent.left));
             }
         }
     }
@@ -222,6 +236,12 @@ impl Link {
     /// Sent datagrams that the last [accepted](Self::accept) one was the first to acknowledge.
     pub(super) fn fresh(&self) -> &[u32] {
         &self.fresh
+    }
+
+    /// The time from sending the newest datagram that the last [accepted](Self::accept) one was the first to acknowledge
+    /// until `now`: a round trip, including the wait of the acknowledgement for its datagram.
+    pub(super) fn round_trip(&self, now: ServerTime) -> Option<Span> {
+        self.answered.map(|left| now - left)
     }
 
     pub(super) fn count_misdirected(&mut self) {
@@ -309,6 +329,7 @@ impl Link {
         generated: ServerTime,
     ) -> Result<(u32, Vec<u8>, Body), Option<Body>> {
         let tag = self.tag.ok_or(None)?;
+        let left = generated;
         let generated = match &mut body {
             // Its newest sample then needs no time of its own.
             Body::Motion(tracks) => {
@@ -348,7 +369,11 @@ impl Link {
         if self.sent_at.len() == TIMES_KEPT_MAX {
             self.sent_at.pop_front();
         }
-        self.sent_at.push_back((sequence, generated));
+        self.sent_at.push_back(SentAt {
+            sequence,
+            generated,
+            left,
+        });
         if datagram.header.acknowledged.is_some() {
             self.unacknowledged = 0;
             self.acknowledged_at = generated;

@@ -63,6 +63,7 @@ pub(crate) fn room_config(
         },
         grants: vec![(Role::Trainee, GRANT), (Role::Spectator, GRANT)],
         seats: u16::try_from(seats).unwrap_or(u16::MAX),
+        spectators: u16::try_from(seats).unwrap_or(u16::MAX),
         tick_hz,
         compensation,
         start_when_tools: u16::try_from(start_when_tools).unwrap_or(u16::MAX),

@@ -5,7 +5,7 @@ use palpate_tissue::{Material, Topology, block};
 use super::*;
 use crate::disagreement::Disagreement;
 use crate::force_error::{ForceError, over_script};
-use crate::network::{Link, Step, Steps};
+use crate::network::{Link, Outage, Outages, Step, Steps};
 use crate::reference;
 use crate::scripts::Scripts;
 use crate::tool_location::ToolLocation;
@@ -232,4 +232,34 @@ fn diverged_shape_causes_a_limited_number_of_resyncs() {
     assert_eq!(for_ever.troubles, Vec::<String>::new());
     let resyncs = for_ever.counters[1].resyncs as usize;
     assert!((1..=RESYNCS_MAX).contains(&resyncs), "{resyncs}");
+}
+
+#[test]
+fn honest_stroke_is_cut_over_a_lossy_path_with_an_outage_during_the_stroke() {
+    let model = model();
+    let scripts = scripts_of(&model, 8.0);
+    // The stroke lasts 1.3 s, from about 4 s on; the outages also cover shifts of the start.
+    for from_s in [3.6, 4.3, 5.0] {
+        let outage = Outage {
+            from_s,
+            to_s: from_s + 1.0,
+        };
+        let lossy = Profile::both(
+            "lossy with an outage",
+            Link {
+                delay_ms: 40.0,
+                loss: 0.05,
+                outages: Some(Outages {
+                    repeat_s: None,
+                    times: vec![outage],
+                }),
+                ..Link::default()
+            },
+        );
+        let r = simulate_with(&model, &scripts, &lossy, 3, 400, &[]);
+        assert_eq!(r.troubles, Vec::<String>::new(), "{from_s}");
+        assert_eq!(r.counters[1].cuts_refused, 0, "{from_s}");
+        assert!(r.hashes_equal(), "{:?}", r.topologies);
+        assert_eq!(r.topologies[0].0, 1, "{from_s}");
+    }
 }

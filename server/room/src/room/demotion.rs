@@ -1,5 +1,8 @@
 //! Demotion to spectator: a participant with a slow network does not raise the playout delay of the group.
 //!
+//! A participant can shorten or lengthen only its own path by false reports or sample times: the requirement of a pair
+//! counts for the longer round trip, and the playout delay follows reports only as far as measured paths explain them.
+//!
 //! A delay report of x covers the path from every other participant to x, so it includes their uplinks. The
 //! server therefore separates uplink and downlink. The requirement of a pair counts for the participant with the
 //! longer round trip (our own rule):
@@ -24,6 +27,7 @@ use palpate_protocol::request::DelayReport;
 use palpate_protocol::{ParticipantId, ServerTime, Span};
 
 use super::Room;
+use crate::limits::Limit;
 use crate::participant::Participant;
 
 /// Time between two decisions: the period of delay reports.
@@ -75,13 +79,31 @@ fn wanted_now(report: &DelayReport, of: &Participant) -> i64 {
 
 impl Room {
     /// Handles a delay report of a client.
+    ///
+    /// Only participants with a tool count for the group, and only as far as the paths that the server has measured
+    /// explain the report: the longest uplink of the others and the own round trip.
     pub(super) fn note_report(&mut self, who: ParticipantId, report: DelayReport, now: ServerTime) {
-        let Some(participant) = self.participants.get_mut(&who) else {
+        let others = self
+            .participants
+            .values()
+            .filter(|p| p.id != who && !p.demotion.is_demoted());
+        let uplinks = others.filter_map(Participant::explained_uplink);
+        let longest_us = uplinks.map(|r| r.wanted_us).max().unwrap_or(0);
+        let longest = Span::from_micros(i64::from(longest_us));
+        let seat = self.participants.get_mut(&who);
+        let Some(participant) = seat.filter(|p| p.tool.is_some()) else {
             return;
         };
         participant.report = Some((now, report));
-        if !participant.demotion.is_demoted() && now >= self.reports_count_from {
-            self.group.handle_report(who, report);
+        if participant.demotion.is_demoted() || now < self.reports_count_from {
+            return;
+        }
+        let explained = participant.explained(report, longest);
+        if explained != Some(report) {
+            self.limits.count(Limit::DelayReport);
+        }
+        if let Some(explained) = explained {
+            self.group.handle_report(who, explained);
         }
     }
 
@@ -105,10 +127,6 @@ impl Room {
             let Some(participant) = self.participants.get_mut(&path.who) else {
                 continue;
             };
-            // A full log takes no demotion, but still restores demoted participants.
-            if !participant.demotion.is_demoted() && !self.log.takes_work() {
-                continue;
-            }
             let requirement = Span::from_micros(path.requirement(&path_delays));
             match participant.demotion.handle_wanted(requirement, now) {
                 Some(DemotionDecision::Demote { wanted, cap }) => {
@@ -133,9 +151,10 @@ impl Room {
         }
     }
 
-    /// Uplinks and downlinks of the connected participants.
+    /// Uplinks and downlinks of the connected participants with a tool.
     fn path_delays(&mut self) -> Vec<PathDelay> {
-        let here = || self.participants.values().filter(|p| p.peer().is_some());
+        let is_active = |p: &&Participant| p.peer().is_some() && p.tool.is_some();
+        let here = || self.participants.values().filter(is_active);
         let uplink = |p: &Participant| p.delay.report().map(|r| wanted_now(&r, p));
         let mut path_delays = Vec::new();
         for p in here() {

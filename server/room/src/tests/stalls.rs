@@ -130,6 +130,7 @@ impl Session {
             },
             grants: vec![(Role::Trainee, TRAINEE)],
             seats: 8,
+            spectators: 4,
             tick_hz: 30,
             compensation: CompensationSettings {
                 mode: CompensationMode::Adaptive { cap_us: CAP_US },
