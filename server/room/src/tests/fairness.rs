@@ -186,8 +186,8 @@ fn joins_and_drops_of_spectators_leave_seats_for_all_roles() {
         let refused = hall.join(200 + i, &format!("t{i}"), Role::Spectator, ms(20));
         assert_eq!(refused, None, "{i}");
     }
-    let full = hall.join(300, "u", Role::Recorder, ms(20));
-    let (role, seats) = (Role::Recorder, 8);
+    let full = hall.join(300, "u", Role::Spectator, ms(20));
+    let (role, seats) = (Role::Spectator, 8);
     assert_eq!(full, Some(RefusalReason::Full { role, seats }));
     for i in 0..6 {
         let refused = hall.join(400 + i, &format!("v{i}"), Role::Trainee, ms(20));

@@ -85,7 +85,7 @@ fn run(from: &str, what: &str) -> &'static str {
     let ann = hello("ann", Role::Trainee, ToolKind::Probe);
     let lost = || PeerEvent::Closed(CloseReason::ConnectionLost("a test".into()));
     room.handle_event(PeerKey(1), ann.clone(), ms(0));
-    let bob = hello("bob", Role::Spectator, ToolKind::Probe);
+    let bob = hello("bob", Role::Trainee, ToolKind::Probe);
     room.handle_event(PeerKey(2), bob, ms(0));
     match from {
         "Demoted" => now = report_requirement(&mut room, PeerKey(1), 600, 0, 4),
