@@ -392,7 +392,7 @@ fn a_refusal_is_passed_on_with_its_sentence() {
     let fake = Fake::start(Manner::Refuses, false);
     let error = palpate_client::run(&fake.options()).unwrap_err();
     assert!(
-        error.to_string().contains("all 1 seats are taken"),
+        error.to_string().contains("all 1 seats for the role"),
         "{error}"
     );
     fake.stop();

@@ -113,7 +113,9 @@ pub enum ProtocolError {
         state: &'static str,
     },
     /// A numbered operation is repeated.
-    #[error("operation {found} arrived where operation {expected} or a later one was due; rejoin the session")]
+    #[error(
+        "operation {found} arrived where operation {expected} or a later one was due; rejoin the session"
+    )]
     OperationOrder {
         /// The lowest number that was due.
         expected: u64,

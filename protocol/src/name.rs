@@ -96,7 +96,9 @@ pub fn normalise(name: &str) -> Result<String, NameError> {
 }
 
 fn check_characters(name: &str) -> Result<(), NameError> {
-    let found = name.chars().find_map(|c| invisible(c).map(|kind| (c, kind)));
+    let found = name
+        .chars()
+        .find_map(|c| invisible(c).map(|kind| (c, kind)));
     found.map_or(Ok(()), |(c, kind)| {
         Err(NameError::Character {
             character: CodePoint(c),

@@ -94,7 +94,7 @@ fn run_client(from: &str, what: &str) -> &'static str {
         "an operation" | "the next operation" => ServerMessage::Operation(operation_at(0)),
         "a repeated operation" => {
             let first = ServerMessage::Operation(operation_at(0));
-            client.handle_stream(&codec::encode_frame(&first).unwrap(), now);
+            client.handle_stream(&encode_frame(&first).unwrap(), now);
             first
         }
         _ => {

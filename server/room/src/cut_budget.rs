@@ -98,7 +98,11 @@ impl CutBudget {
 pub(crate) fn check_shape(cut: &CutRequest, tool: &ToolDescription) -> Result<(), RequestRefusal> {
     let bad = |why: String| Err(RequestRefusal::CanNotCut(why));
     let mm = |m: f64| m * 1e3;
-    let deepest_m = cut.points.iter().map(|p| p.blade.depth_m).fold(0.0, f64::max);
+    let deepest_m = cut
+        .points
+        .iter()
+        .map(|p| p.blade.depth_m)
+        .fold(0.0, f64::max);
     if deepest_m > tool.length_m + DEPTH_TOLERANCE_M {
         return bad(format!(
             "it is {:.1} mm deep, but the blade is {:.1} mm long",

@@ -71,12 +71,7 @@ impl Joins {
 
 /// The budget of one seat's resumptions.
 pub(crate) fn resumptions(now: ServerTime) -> Bucket {
-    Bucket::new(
-        RESUMPTIONS_BURST,
-        RESUMPTIONS_PER_S,
-        RESUMPTIONS_BURST,
-        now,
-    )
+    Bucket::new(RESUMPTIONS_BURST, RESUMPTIONS_PER_S, RESUMPTIONS_BURST, now)
 }
 
 #[cfg(test)]

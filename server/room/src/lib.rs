@@ -31,7 +31,7 @@ pub use authority::{
     Authority, CutJob, CutOrder, Cutter, LoggedCut, PreparedCut, Settling, TickReport, TissueOrder,
     TissueReport,
 };
-pub use limits::{Limit, LimitCounters};
 pub use config::{RoomConfig, SEATS_MAX};
+pub use limits::{Limit, LimitCounters};
 pub use room::{Output, PeerKey, Room};
 pub use simulated::SimulatedRoom;

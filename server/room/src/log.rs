@@ -138,7 +138,12 @@ impl Log {
         }
         self.next_compaction = now + COMPACTION_PERIOD;
         let mut superseding = Superseding::default();
-        let mut keeps: Vec<bool> = self.operations.iter().rev().map(|o| superseding.keeps(o, now)).collect();
+        let mut keeps: Vec<bool> = self
+            .operations
+            .iter()
+            .rev()
+            .map(|o| superseding.keeps(o, now))
+            .collect();
         keeps.reverse();
         let mut keeps = keeps.into_iter();
         let before = self.operations.len();
@@ -254,7 +259,10 @@ mod tests {
         let frame = |o: &Arc<Operation>| {
             encode_frame(&ServerMessage::Operation(o.as_ref().clone())).unwrap()
         };
-        log.since(OperationId(0)).iter().map(|o| frame(o).len()).sum()
+        log.since(OperationId(0))
+            .iter()
+            .map(|o| frame(o).len())
+            .sum()
     }
 
     #[test]
@@ -286,10 +294,22 @@ mod tests {
         let mut log = Log::default();
         add(&mut log, 0, joined(7));
         add(&mut log, 0, joined(8));
-        add(&mut log, 10, OperationKind::Disconnected { participant: who });
-        add(&mut log, 11, OperationKind::Reconnected { participant: who });
+        add(
+            &mut log,
+            10,
+            OperationKind::Disconnected { participant: who },
+        );
+        add(
+            &mut log,
+            11,
+            OperationKind::Reconnected { participant: who },
+        );
         add(&mut log, 20, stroke(2));
-        add(&mut log, 30, OperationKind::Disconnected { participant: who });
+        add(
+            &mut log,
+            30,
+            OperationKind::Disconnected { participant: who },
+        );
         log.compact(at(90));
         assert_eq!(log.len(), 4, "the reconnect and its loss are dropped");
         let reason = LeaveReason::Silent;
@@ -299,7 +319,11 @@ mod tests {
         };
         add(&mut log, 91, left);
         log.compact(at(160));
-        assert_eq!(log.len(), 5, "a client may still resume without the last minute");
+        assert_eq!(
+            log.len(),
+            5,
+            "a client may still resume without the last minute"
+        );
         log.compact(at(162));
         let kept: Vec<u64> = log.since(OperationId(0)).iter().map(|o| o.id.0).collect();
         assert_eq!(kept, [1, 4], "the other participant and the cut");

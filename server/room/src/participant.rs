@@ -152,7 +152,11 @@ impl Participant {
 
     /// A delay report as far as the longest uplink of the other participants and the measured round trip explain it;
     /// `None` for a participant whose own samples are not measured.
-    pub(crate) fn explained(&self, report: DelayReport, longest_uplink: Span) -> Option<DelayReport> {
+    pub(crate) fn explained(
+        &self,
+        report: DelayReport,
+        longest_uplink: Span,
+    ) -> Option<DelayReport> {
         self.delay.report()?;
         let most = limit_us(longest_uplink + self.round_trip?);
         Some(DelayReport {

@@ -14,7 +14,7 @@ use palpate_protocol::session::{PeerDatagram, PeerEvent, Picture, ServerPeer};
 use palpate_protocol::{
     Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role, ServerTime, Span, TopologyHash,
 };
-use palpate_room::{Output, PeerKey, RoomConfig, SimulatedRoom};
+use palpate_room::{LimitCounters, Output, PeerKey, RoomConfig, SimulatedRoom};
 use palpate_tissue::Model;
 
 use super::links::{Arrived, Links};
@@ -250,6 +250,11 @@ impl Host {
     /// Number of demotions to spectator because of lateness.
     pub(super) fn demotions(&self) -> u64 {
         self.room.demotion_count()
+    }
+
+    /// How often each limit of the room took effect.
+    pub(super) fn limits(&self) -> LimitCounters {
+        *self.room.limits()
     }
 
     /// The server's shapes of the last ticks.

@@ -36,9 +36,20 @@ fn simulate_with(
     session_faults: &[SessionFault],
 ) -> SessionResult {
     let scripts = [&scripts.holder, &scripts.cutter];
-    let session = SimulatedSession {
+    let session = session(model, &scripts, profile, seed, cap_ms);
+    session.run_with(session_faults, |_| true).unwrap()
+}
+
+fn session<'a>(
+    model: &'a Arc<Model>,
+    scripts: &'a [&'a Script],
+    profile: &'a Profile,
+    seed: u64,
+    cap_ms: u32,
+) -> SimulatedSession<'a> {
+    SimulatedSession {
         model,
-        scripts: &scripts,
+        scripts,
         motion_only: false,
         thin_spectator_count: 1,
         profile,
@@ -50,8 +61,7 @@ fn simulate_with(
             initial_delay_us: 100_000,
         },
         tick_hz: 60,
-    };
-    session.run_with(session_faults, |_| true).unwrap()
+    }
 }
 
 #[test]
@@ -261,5 +271,32 @@ fn honest_stroke_is_cut_over_a_lossy_path_with_an_outage_during_the_stroke() {
         assert_eq!(r.counters[1].cuts_refused, 0, "{from_s}");
         assert!(r.hashes_equal(), "{:?}", r.topologies);
         assert_eq!(r.topologies[0].0, 1, "{from_s}");
+    }
+}
+
+#[test]
+fn no_limit_takes_effect_in_honest_sessions() {
+    let model = model();
+    let scripts = scripts_of(&model, 12.0);
+    for name in [
+        "lan",
+        "metro",
+        "transatlantic",
+        "wifi-bursts",
+        "lte",
+        "lossy",
+        "bursts",
+        "far-steps",
+    ] {
+        let profile = Profile::named(name).unwrap();
+        let hands = [&scripts.holder, &scripts.cutter];
+        let session = SimulatedSession {
+            motion_only: true,
+            ..session(&model, &hands, &profile, 3, 500)
+        };
+        let r = session.run(|_| true).unwrap();
+        assert_eq!(r.troubles, Vec::<String>::new(), "{name}");
+        assert_eq!(r.topologies[0].0, 1, "{name}");
+        assert_eq!(r.limits, LimitCounters::default(), "{name}");
     }
 }

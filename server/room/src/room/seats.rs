@@ -264,8 +264,8 @@ impl Room {
         let state = (self.log.last_before(next)).map_or((0, self.hashes[0]), |last| {
             (last.topology_version_after, last.hash_after)
         });
-        let is_ours = next <= self.log.next()
-            && state == (resume.topology_version, resume.topology_hash);
+        let is_ours =
+            next <= self.log.next() && state == (resume.topology_version, resume.topology_hash);
         if is_ours { next } else { OperationId(0) }
     }
 

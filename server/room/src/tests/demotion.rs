@@ -91,8 +91,7 @@ impl Session {
                     up_ms,
                     down_ms,
                 } = self.movers[i];
-                let PeerEvent::Motion(motion) =
-                    pressing_at(now - up_ms - 4, now - up_ms, ms(now))
+                let PeerEvent::Motion(motion) = pressing_at(now - up_ms - 4, now - up_ms, ms(now))
                 else {
                     unreachable!()
                 };
@@ -229,9 +228,7 @@ fn full_log_refuses_cuts_but_demotes_restores_and_admits() {
     let mut s = Session::of(&[(30, 30), (30, 30), (500, 500)]);
     s.run_until(6000);
     assert_eq!(s.demoted(), [ParticipantId(3)]);
-    let mut cuts = 0;
-    while cuts < 6000 {
-        cuts += 1;
+    for _ in 0..6000 {
         let cut = TissueReport::Cut {
             author: ParticipantId(1),
             request: RequestId(1),

@@ -70,7 +70,13 @@ impl Hall {
         self.outputs = std::iter::from_fn(|| self.room.poll_output()).collect();
     }
 
-    fn join(&mut self, peer: u64, name: &str, role: Role, now: ServerTime) -> Option<RefusalReason> {
+    fn join(
+        &mut self,
+        peer: u64,
+        name: &str,
+        role: Role,
+        now: ServerTime,
+    ) -> Option<RefusalReason> {
         let PeerEvent::Hello(mut hello) = hello(name, role, ToolKind::Scalpel) else {
             unreachable!()
         };
@@ -271,7 +277,10 @@ fn hours_of_joins_and_reconnects_leave_the_log_to_cuts() {
     }
     let now = ms(7_200_000);
     assert!(hall.room.operation_count() > 10_000);
-    let kept = hall.room.operations_since(palpate_protocol::OperationId(0)).len();
+    let kept = hall
+        .room
+        .operations_since(palpate_protocol::OperationId(0))
+        .len();
     assert!(kept < 600, "{kept} operations");
     assert_eq!(hall.cut(1, 1, now), None);
     assert_eq!(hall.room.topology().0, 1);

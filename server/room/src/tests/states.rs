@@ -118,10 +118,12 @@ fn run(from: &str, what: &str) -> &'static str {
         "a new participant with its name, and it never took part" => {
             room.handle_event(PeerKey(3), ann, ms(now));
             let ops = operations(&drain(&mut room), PeerKey(2));
-            let left = |o: &Arc<Operation>| {
-                matches!(o.kind, OperationKind::Left { participant, .. } if participant == ANN)
+            let left = |o: &Arc<Operation>| matches!(o.kind, OperationKind::Left { participant, .. } if participant == ANN);
+            return if ops.iter().any(left) {
+                "Removed"
+            } else {
+                "Disconnected"
             };
-            return if ops.iter().any(left) { "Removed" } else { "Disconnected" };
         }
         "its requirement exceeds the cap for 2 s" | "its requirement exceeds the cap for 4 s" => {
             let seconds = if what.ends_with("2 s") { 2 } else { 4 };
