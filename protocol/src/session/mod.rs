@@ -144,7 +144,7 @@ pub struct PeerMotion {
     pub late: Lateness,
     /// How long it may have waited for a stalled receiver.
     pub stall: Span,
-    /// The longest round trip of the last seconds, from acknowledgements; `None` before the first one.
+    /// The longest round trip of the last half minute, from acknowledgements; `None` before the first one.
     pub round_trip: Option<Span>,
 }
 

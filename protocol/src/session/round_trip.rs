@@ -5,8 +5,8 @@
 
 use crate::{ServerTime, Span};
 
-/// A round trip is remembered for one to two of these times: at least as long as a delay estimate remembers a packet.
-const HALF: Span = Span::from_millis(4000);
+/// A round trip is remembered for one to two of these times: at least as long as a delay estimate remembers a burst.
+const HALF: Span = Span::from_millis(30_000);
 
 /// The longest round trip of the current and of the previous [`HALF`].
 #[derive(Debug, Clone, Copy, Default)]
@@ -44,10 +44,10 @@ mod tests {
         let mut trips = RoundTrip::default();
         assert_eq!(trips.longest(), None);
         let at = |ms: i64| ServerTime::from_micros(ms * 1000);
-        for t in (0..20_000).step_by(40) {
+        for t in (0..150_000).step_by(200) {
             let measured = if t == 1000 { 300 } else { 20 };
             trips.note(Some(Span::from_millis(measured)), at(t));
-            let expected = if (1000..8000).contains(&t) { 300 } else { 20 };
+            let expected = if (1000..60_000).contains(&t) { 300 } else { 20 };
             assert_eq!(trips.longest(), Some(Span::from_millis(expected)), "{t}");
         }
     }

@@ -69,7 +69,7 @@ pub(crate) struct Participant {
     pub(crate) requests: RequestHistory,
     /// Age of its samples on arrival at the server.
     pub(crate) delay: DelayEstimator,
-    /// The longest round trip of the last seconds; `None` before it is known.
+    /// The longest round trip of the last half minute; `None` before it is known.
     pub(crate) round_trip: Option<Span>,
     /// The last delay report of the client, with its time of reception.
     pub(crate) report: Option<(ServerTime, DelayReport)>,
