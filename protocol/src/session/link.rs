@@ -8,6 +8,7 @@ use crate::datagram::{
 };
 use crate::lateness::{LocalStalls, Repeated, StallCounter};
 use crate::session::DATAGRAM_BACKLOG_MAX;
+use crate::timeline::GAP_LIMIT;
 use crate::{
     Arrival, Epoch, ParticipantId, ProtocolError, SequenceWindow, ServerTime, Span, ToolTrack,
 };
@@ -120,8 +121,11 @@ pub(super) struct Link {
     sent_at: VecDeque<SentAt>,
     /// The time in the newest acknowledged one.
     known_at: Option<ServerTime>,
-    /// When the newest datagram left that the last accepted one was the first to acknowledge.
-    answered: Option<ServerTime>,
+    /// When the newest datagram left that the last accepted one was the first to acknowledge, and the longest loss
+    /// before those.
+    answered: Option<(ServerTime, Span)>,
+    /// The newest acknowledged datagram, and when it left.
+    answered_before: Option<(u32, ServerTime)>,
     /// The latest time in their datagrams.
     received_at: ServerTime,
     /// Datagrams that arrived since the last acknowledgement, and when that left.
@@ -228,9 +232,22 @@ impl Link {
             self.fresh.push(sequence);
             if let Some(sent) = self.sent_at.iter().find(|s| s.sequence == sequence) {
                 self.known_at = self.known_at.max(Some(sent.generated));
-                self.answered = self.answered.max(Some(sent.left));
+                let (sequence, left) = (sent.sequence, sent.left);
+                self.note_answer(sequence, left);
             }
         }
+    }
+
+    /// Acknowledgements come in the order of their numbers.
+    fn note_answer(&mut self, sequence: u32, left: ServerTime) {
+        let lost = match self.answered_before {
+            Some((before, _)) if sequence <= before => return,
+            Some((before, at)) if sequence > before + 1 => left - at,
+            _ => Span::ZERO,
+        };
+        let longest = self.answered.map_or(Span::ZERO, |(_, lost)| lost);
+        self.answered = Some((left, lost.max(longest)));
+        self.answered_before = Some((sequence, left));
     }
 
     /// Sent datagrams that the last [accepted](Self::accept) one was the first to acknowledge.
@@ -238,10 +255,12 @@ impl Link {
         &self.fresh
     }
 
-    /// The time from sending the newest datagram that the last [accepted](Self::accept) one was the first to acknowledge
-    /// until `now`: a round trip, including the wait of the acknowledgement for its datagram.
+    /// The longest delay that the last [accepted](Self::accept) datagram shows until `now`: the round trip of the newest
+    /// datagram that it acknowledges first, with the wait of the acknowledgement for its datagram, and the loss before
+    /// it. A loss counts up to [`GAP_LIMIT`], because a peer can pretend it, and timelines bridge no longer one.
     pub(super) fn round_trip(&self, now: ServerTime) -> Option<Span> {
-        self.answered.map(|left| now - left)
+        self.answered
+            .map(|(left, lost)| now - left + lost.min(GAP_LIMIT))
     }
 
     pub(super) fn count_misdirected(&mut self) {

@@ -1,7 +1,7 @@
 //! The longest recent round trip to a client, from its acknowledgements.
 //!
-//! A client can lengthen it only by delaying its own datagrams, and can not shorten it. It therefore bounds the delays
-//! that the client reports.
+//! A client can lengthen it only by delaying its own datagrams, or by a little pretended loss. It therefore bounds the
+//! delays that the client reports.
 
 use crate::{ServerTime, Span};
 

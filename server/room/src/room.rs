@@ -341,6 +341,7 @@ impl Room {
     }
 
     fn change_delay(&mut self, now: ServerTime) {
+        self.pass_reports();
         let playing = self
             .participants
             .values()

@@ -78,33 +78,46 @@ fn wanted_now(report: &DelayReport, of: &Participant) -> i64 {
 }
 
 impl Room {
-    /// Handles a delay report of a client.
-    ///
-    /// Only participants with a tool count for the group, and only as far as the paths that the server has measured
-    /// explain the report: the longest uplink of the others and the own round trip.
+    /// Handles a delay report of a client. Only those of participants with a tool count.
     pub(super) fn note_report(&mut self, who: ParticipantId, report: DelayReport, now: ServerTime) {
+        let longest = self.longest_uplink_beside(who);
+        let seat = self.participants.get_mut(&who);
+        let Some(participant) = seat.filter(|p| p.tool.is_some()) else {
+            return;
+        };
+        if let Some((_, before)) = participant.report.replace((now, report))
+            && participant.explained(before, longest) != Some(before)
+        {
+            self.limits.count(Limit::DelayReport);
+        }
+    }
+
+    /// Passes the reports on to the group, as far as the measured paths explain them by now: the longest uplink of the
+    /// other participants and the own round trip. A report of a slower path may arrive before its measurement.
+    pub(super) fn pass_reports(&mut self) {
+        let active = self.participants.values().filter(|p| {
+            !p.demotion.is_demoted()
+                && p.report
+                    .is_some_and(|(at, _)| at >= self.reports_count_from)
+        });
+        for participant in active {
+            let longest = self.longest_uplink_beside(participant.id);
+            let report = participant.report.map(|(_, report)| report);
+            if let Some(explained) = report.and_then(|r| participant.explained(r, longest)) {
+                self.group.handle_report(participant.id, explained);
+            }
+        }
+    }
+
+    /// The longest explained uplink of the other active participants.
+    fn longest_uplink_beside(&self, who: ParticipantId) -> Span {
         let others = self
             .participants
             .values()
             .filter(|p| p.id != who && !p.demotion.is_demoted());
         let uplinks = others.filter_map(Participant::explained_uplink);
-        let longest_us = uplinks.map(|r| r.wanted_us).max().unwrap_or(0);
-        let longest = Span::from_micros(i64::from(longest_us));
-        let seat = self.participants.get_mut(&who);
-        let Some(participant) = seat.filter(|p| p.tool.is_some()) else {
-            return;
-        };
-        participant.report = Some((now, report));
-        if participant.demotion.is_demoted() || now < self.reports_count_from {
-            return;
-        }
-        let explained = participant.explained(report, longest);
-        if explained != Some(report) {
-            self.limits.count(Limit::DelayReport);
-        }
-        if let Some(explained) = explained {
-            self.group.handle_report(who, explained);
-        }
+        let us = uplinks.map(|r| r.wanted_us).max().unwrap_or(0);
+        Span::from_micros(i64::from(us))
     }
 
     /// Demotes and restores participants.
