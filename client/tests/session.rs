@@ -67,7 +67,7 @@ fn a_refusal_is_passed_on_with_its_sentence() {
     };
     let error = palpate_client::run(&options).unwrap_err();
     assert!(
-        error.to_string().contains("all 1 seats are taken"),
+        error.to_string().contains("all 1 seats for the role"),
         "{error}"
     );
     fake.stop();

@@ -113,10 +113,12 @@ pub enum ProtocolError {
         /// The state of the session.
         state: &'static str,
     },
-    /// A numbered operation is missing.
-    #[error("operation {found} arrived where operation {expected} was due; rejoin the session")]
-    OperationGap {
-        /// The number that was due.
+    /// A numbered operation is repeated.
+    #[error(
+        "operation {found} arrived where operation {expected} or a later one was due; rejoin the session"
+    )]
+    OperationOrder {
+        /// The lowest number that was due.
         expected: u64,
         /// The number received.
         found: u64,

@@ -203,7 +203,10 @@ fn operations() -> Vec<Example<OperationKind>> {
 
 /// Everything a server writes after its preamble.
 pub fn server_messages() -> Vec<Example<ServerMessage>> {
-    let full = Refused::because(RefusalReason::Full { seats: 8 });
+    let full = Refused::because(RefusalReason::Full {
+        role: Role::Trainee,
+        seats: 8,
+    });
     let refused = |reason| {
         ServerMessage::RequestRefused(RequestRefused {
             id: RequestId(1),

@@ -32,9 +32,6 @@ pub const PREAMBLE_BYTES: usize = 8;
 /// receiver rejects it.
 pub const PREAMBLE_SENTENCE_MAX_BYTES: usize = 512;
 
-/// The longest name of a participant in bytes. A longer one is refused.
-pub const NAME_MAX_BYTES: usize = 64;
-
 /// The most participants of a session; a roster longer than this is a protocol error.
 pub const ROSTER_MAX: usize = 64;
 
@@ -193,7 +190,7 @@ impl FromStr for Subscription {
 /// A client's first message: name, role and grant.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Hello {
-    /// The participant's name as shown to the other participants, at most [`NAME_MAX_BYTES`].
+    /// The participant's name as shown to the other participants; the server [normalises](crate::name::normalise) it.
     pub name: String,
     /// The requested role; the grant must allow it.
     pub role: Role,
@@ -289,7 +286,8 @@ pub struct Welcome {
     pub topology_hash: TopologyHash,
     /// The first operation that follows: 0, or the position of a resumed client.
     pub first_operation: OperationId,
-    /// How many operations the log holds; those from `first_operation` on follow on the stream at once.
+    /// The number after that of the last operation that follows on the stream at once; `first_operation` if none does.
+    /// The stream leaves out operations that no longer matter.
     pub operations_so_far: u64,
     /// The artificial time compensation in force. Changes come as operations.
     pub compensation: CompensationSettings,
@@ -329,12 +327,14 @@ pub enum RefusalReason {
         /// The server's version.
         server_speaks: u16,
     },
-    /// No seat is left.
+    /// No seat for this role is left.
     #[error(
-        "the session is full: all {seats} seats are taken; come back when somebody has left, or ask the host to offer more (--seats, {ROSTER_MAX} at most)"
+        "the session is full: all {seats} seats for the role {role} are taken; come back when a participant has left, or ask the host to offer more (--seats, {ROSTER_MAX} at most; --spectators for spectators and recorders)"
     )]
     Full {
-        /// The number of seats.
+        /// The requested role.
+        role: Role,
+        /// The number of seats that this role can take, together with the other roles that share them.
         seats: u16,
     },
     /// The grant is unknown or allows another role.
@@ -345,15 +345,18 @@ pub enum RefusalReason {
         /// The requested role.
         role: Role,
     },
-    /// Another participant has this name.
+    /// Another participant has this name, or one that looks like it.
     #[error("a participant named \"{name}\" is already in the session; choose another name")]
     NameTaken {
-        /// The requested name.
+        /// The name of that participant.
         name: String,
     },
-    /// The name is empty, too long or has control characters.
-    #[error("the name must have 1 to {NAME_MAX_BYTES} bytes and no control characters")]
-    BadName,
+    /// The name can not be shown.
+    #[error("{reason}")]
+    BadName {
+        /// The cause and the remedy.
+        reason: String,
+    },
     /// The role needs a tool and the client offered no valid one.
     #[error(
         "the role {role} needs a tool with a radius between 0.1 mm and 100 mm, and with the length and width of its kind (at most 500 mm)"
@@ -379,15 +382,14 @@ pub enum RefusalReason {
     /// The session ends or the server stops.
     #[error("the server is closing the session; try again later")]
     Closing,
-    /// The log has reached its largest size, so that no client can receive all of it.
-    #[error(
-        "the session's log is full, so that no client can join or reconnect; ask the host to save the tissue as a model and to begin a new session with it"
-    )]
-    LogFull,
+    /// Too many joins or resumptions in a short time.
+    #[error("the session receives too many joins at this time; try again in a few seconds")]
+    Busy,
 }
 
-/// Whether a name can be shown: 1 to [`NAME_MAX_BYTES`] bytes, no control characters, not only
-/// white space.
-pub fn name_is_valid(name: &str) -> bool {
-    !name.trim().is_empty() && name.len() <= NAME_MAX_BYTES && !name.chars().any(char::is_control)
+impl RefusalReason {
+    /// Whether the same join may be accepted a little later.
+    pub const fn is_temporary(&self) -> bool {
+        matches!(self, Self::Full { .. } | Self::Busy)
+    }
 }

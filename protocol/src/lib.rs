@@ -11,7 +11,7 @@
 //! | operations | handshake, cuts, joins, compensation | length-prefixed frames on one ordered stream, numbered |
 //! | motion | tool samples, displacement corrections, clock probes | datagrams of at most [`DATAGRAM_MAX_BYTES`] |
 //!
-//! Where to look: [`handshake`] and [`link`] for joining, [`operation`] and [`request`] for ordered
+//! Where to look: [`handshake`], [`name`] and [`link`] for joining, [`operation`] and [`request`] for ordered
 //! messages, [`datagram`] for messages that may be lost, [`session`] for the two state machines,
 //! [`clock`], [`compensation`] and [`timeline`] for the shared time.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -27,6 +27,7 @@ pub mod handshake;
 mod ids;
 pub mod lateness;
 pub mod link;
+pub mod name;
 pub mod operation;
 pub mod request;
 mod sample;

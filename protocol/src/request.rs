@@ -131,8 +131,8 @@ pub enum RequestRefusal {
     /// The tissue refused the stroke.
     #[error("the stroke can not be cut: {0}")]
     CanNotCut(String),
-    /// The client exceeds the request rate.
-    #[error("too many requests; wait a moment")]
+    /// The client exceeds the request rate, or its cuts exceed the participant's share of the server's time.
+    #[error("too many requests or cuts; wait a moment")]
     TooMany,
     /// The topology differs from the server's: the client must rejoin.
     #[error("your copy of the tissue differs from the server's; rejoin the session")]
@@ -147,4 +147,9 @@ pub enum RequestRefusal {
         "the session's log is full; ask the host to save the tissue as a model and to begin a new session with it"
     )]
     LogFull,
+    /// The stroke lies where the tool can not have been.
+    #[error(
+        "the stroke does not follow your tool: {0}; the server must receive the tool's motion during the stroke, so check the network and repeat the stroke"
+    )]
+    NotAtTool(String),
 }

@@ -202,6 +202,7 @@ fn invalid_host_options_are_command_line_errors() {
         (&["--seats", "2", "--start-when", "3"], "seats (2)"),
         (&["--duration", "0"], "above 0"),
         (&["--seats", "0"], "--seats"),
+        (&["--seats", "4", "--spectators", "5"], "seats (4)"),
     ] {
         let arguments = [&["server", "host", "thigh"][..], options].concat();
         refused(&arguments, 2, &[words]);

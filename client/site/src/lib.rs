@@ -35,7 +35,7 @@ mod test_support;
 mod tools;
 
 pub use connection::{
-    Action, BUSY_WAIT_FIRST, Backoff, ConnectionStatus, Farewell, Reconnector, Retry, is_temporary,
+    Action, BUSY_WAIT_FIRST, Backoff, ConnectionStatus, Farewell, Reconnector, Retry,
 };
 pub use replica::{
     CutOrder, CutWorkerEvent, Drift, HAPTIC_PERIOD, Prefetch, Replica, ReplicaError, ThinCounters,

@@ -15,7 +15,7 @@ use palpate_protocol::compensation::DelaySchedule;
 use palpate_protocol::handshake::{Hello, Welcome};
 use palpate_protocol::session::{ClientEvent, ClientSession, CloseReason};
 use palpate_protocol::{JoinLink, ModelHash, Span};
-use palpate_site::{ConnectionStatus, Reconnector, is_temporary};
+use palpate_site::{ConnectionStatus, Reconnector};
 use palpate_transport::threads::{self, ThreadClass};
 use palpate_transport::{
     ClientCommand, ClientHandle, DriverStats, ModelRequest, TransportError, connect, fetch_model,
@@ -249,7 +249,7 @@ async fn take_seat(
         match error {
             // The seat is gone, or belonged to an earlier session of this host.
             ClientError::Refused(refused)
-                if hello.resume.is_some() && !is_temporary(&refused.reason) =>
+                if hello.resume.is_some() && !refused.reason.is_temporary() =>
             {
                 tracing::info!(refused.sentence, "the kept seat is gone");
                 if let Some(seat) = &mut seat {

@@ -4,7 +4,7 @@ use std::hash::{BuildHasher as _, RandomState};
 use std::time::Duration;
 
 use palpate_protocol::Span;
-use palpate_site::{BUSY_WAIT_FIRST, Backoff, Retry, is_temporary};
+use palpate_site::{BUSY_WAIT_FIRST, Backoff, Retry};
 use palpate_transport::TransportError;
 
 use crate::ClientError;
@@ -58,7 +58,7 @@ impl<'a> Retries<'a> {
 /// Whether a later attempt may succeed.
 fn may_pass(error: &ClientError) -> bool {
     match error {
-        ClientError::Refused(refused) => is_temporary(&refused.reason),
+        ClientError::Refused(refused) => refused.reason.is_temporary(),
         ClientError::LostWhileJoining(_)
         | ClientError::Transport(TransportError::Lost { .. } | TransportError::NoAnswer { .. }) => {
             true
@@ -76,9 +76,9 @@ pub(super) fn random_seed() -> u64 {
 mod tests {
     use std::net::{Ipv4Addr, SocketAddr};
 
-    use palpate_protocol::CertificateHash;
     use palpate_protocol::handshake::{RefusalReason, Refused};
     use palpate_protocol::session::CloseReason;
+    use palpate_protocol::{CertificateHash, Role};
 
     use super::*;
 
@@ -88,7 +88,10 @@ mod tests {
         let detail = "refused".to_owned();
         let refused = |reason| ClientError::Refused(Refused::because(reason));
         for error in [
-            refused(RefusalReason::Full { seats: 8 }),
+            refused(RefusalReason::Full {
+                role: Role::Trainee,
+                seats: 8,
+            }),
             ClientError::LostWhileJoining(CloseReason::HandshakeTimeout),
             TransportError::NoAnswer { address }.into(),
             TransportError::Lost { address, detail }.into(),
@@ -98,9 +101,9 @@ mod tests {
         let name = "ann".to_owned();
         let (expected, found) = (CertificateHash([0; 32]), CertificateHash([1; 32]));
         for error in [
-            refused(RefusalReason::BadName),
+            refused(RefusalReason::Closing),
             refused(RefusalReason::NameTaken { name }),
-            refused(RefusalReason::LogFull),
+            refused(RefusalReason::NoSuchSeat),
             ClientError::Goodbye("the host ended it".to_owned()),
             TransportError::NotPalpate { address }.into(),
             TransportError::WrongCertificate {

@@ -177,7 +177,7 @@ impl JoinArguments {
 fn default_name() -> String {
     std::env::var("USER")
         .ok()
-        .filter(|name| palpate_protocol::handshake::name_is_valid(name))
+        .filter(|name| palpate_protocol::name::normalise(name).is_ok())
         // Names are unique in a session; the process id separates two clients on one machine.
         .unwrap_or_else(|| format!("guest-{}", std::process::id()))
 }

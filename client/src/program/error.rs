@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use palpate_device::ScriptError;
 use palpate_protocol::handshake::Refused;
 use palpate_protocol::link::LinkError;
+use palpate_protocol::name::NameError;
 use palpate_protocol::session::CloseReason;
 use palpate_protocol::{ModelHash, ProtocolError, Role};
 use palpate_tissue::{FileError, WriteError};
@@ -55,6 +56,9 @@ pub enum ClientError {
     /// The server is unreachable, or its certificate differs.
     #[error(transparent)]
     Transport(#[from] TransportError),
+    /// The name can not be shown.
+    #[error(transparent)]
+    Name(#[from] NameError),
     /// The name or the tool can not be encoded.
     #[error(transparent)]
     Protocol(#[from] ProtocolError),

@@ -6,8 +6,8 @@ use palpate_device::HapticDevice;
 use palpate_device::backend::sim::ScriptStart;
 use palpate_device::script::ToolKind;
 use palpate_haptics::{Chain, ChainConfig};
-use palpate_protocol::JoinLink;
 use palpate_protocol::handshake::{Hello, Subscription, Welcome};
+use palpate_protocol::{JoinLink, name};
 use palpate_site::{ConnectionStatus, Reach, Site};
 use palpate_tissue::{Staged, decode_model};
 use palpate_transport::threads::{ThreadClass, cpu_time, join, leave, without_real_time};
@@ -43,7 +43,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         }
     }
     let hello = Hello {
-        name: options.name.clone(),
+        name: name::normalise(&options.name)?,
         role: link.role,
         grant: link.grant,
         tool: guide.as_ref().map(|g| tool_description(&g.tool)),

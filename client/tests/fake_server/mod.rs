@@ -165,7 +165,10 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
     if matches!(manner, Manner::LosesIt | Manner::LosesSeat) {
         _lost = Some(lose(&server, info, clock).await);
     }
-    let full = RefusalReason::Full { seats: 1 };
+    let full = RefusalReason::Full {
+        role: Role::Trainee,
+        seats: 1,
+    };
     match manner {
         Manner::IsFull => loop {
             refuse(&server, &full, clock).await;

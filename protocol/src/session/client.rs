@@ -245,8 +245,9 @@ impl ClientSession {
         let State::Joined(joined) = &mut self.state else {
             return Ok(());
         };
-        if operation.id != joined.next_operation {
-            return Err(ProtocolError::OperationGap {
+        // A gap stands for operations that no longer matter.
+        if operation.id < joined.next_operation {
+            return Err(ProtocolError::OperationOrder {
                 expected: joined.next_operation.0,
                 found: operation.id.0,
             });

@@ -8,6 +8,7 @@ use crate::datagram::{
 };
 use crate::lateness::{LocalStalls, Repeated, StallCounter};
 use crate::session::DATAGRAM_BACKLOG_MAX;
+use crate::timeline::GAP_LIMIT;
 use crate::{
     Arrival, Epoch, ParticipantId, ProtocolError, SequenceWindow, ServerTime, Span, ToolTrack,
 };
@@ -93,6 +94,16 @@ impl LinkStats {
     }
 }
 
+/// A sent datagram.
+#[derive(Debug, Clone, Copy)]
+struct SentAt {
+    sequence: u32,
+    /// The time in it.
+    generated: ServerTime,
+    /// When it left.
+    left: ServerTime,
+}
+
 /// The datagram side of one end. Closed until [`open`](Self::open): earlier datagrams are noise.
 #[derive(Debug, Default)]
 pub(super) struct Link {
@@ -106,9 +117,15 @@ pub(super) struct Link {
     /// Baselines from the sent datagrams and from the received ones.
     sent: Memory,
     received: Memory,
-    /// The times in the newest sent datagrams by number, and in the newest acknowledged one.
-    sent_at: VecDeque<(u32, ServerTime)>,
+    /// The newest sent datagrams.
+    sent_at: VecDeque<SentAt>,
+    /// The time in the newest acknowledged one.
     known_at: Option<ServerTime>,
+    /// When the newest datagram left that the last accepted one was the first to acknowledge, and the longest loss
+    /// before those.
+    answered: Option<(ServerTime, Span)>,
+    /// The newest acknowledged datagram, and when it left.
+    answered_before: Option<(u32, ServerTime)>,
     /// The latest time in their datagrams.
     received_at: ServerTime,
     /// Datagrams that arrived since the last acknowledgement, and when that left.
@@ -133,6 +150,7 @@ impl Link {
     /// The content of a datagram that is to be read; everything else is counted.
     pub(super) fn accept(&mut self, bytes: &[u8]) -> Option<Datagram> {
         self.fresh.clear();
+        self.answered = None;
         let Some(tag) = self.tag else {
             self.stats.noise.early += 1;
             return None;
@@ -212,16 +230,37 @@ impl Link {
         if self.acknowledged.insert(sequence).is_fresh() {
             self.sent.acknowledge(sequence);
             self.fresh.push(sequence);
-            let sent = self.sent_at.iter().find(|(n, _)| *n == sequence);
-            if let Some((_, time)) = sent {
-                self.known_at = self.known_at.max(Some(*time));
+            if let Some(sent) = self.sent_at.iter().find(|s| s.sequence == sequence) {
+                self.known_at = self.known_at.max(Some(sent.generated));
+                let (sequence, left) = (sent.sequence, sent.left);
+                self.note_answer(sequence, left);
             }
         }
+    }
+
+    /// Acknowledgements come in the order of their numbers.
+    fn note_answer(&mut self, sequence: u32, left: ServerTime) {
+        let lost = match self.answered_before {
+            Some((before, _)) if sequence <= before => return,
+            Some((before, at)) if sequence > before + 1 => left - at,
+            _ => Span::ZERO,
+        };
+        let longest = self.answered.map_or(Span::ZERO, |(_, lost)| lost);
+        self.answered = Some((left, lost.max(longest)));
+        self.answered_before = Some((sequence, left));
     }
 
     /// Sent datagrams that the last [accepted](Self::accept) one was the first to acknowledge.
     pub(super) fn fresh(&self) -> &[u32] {
         &self.fresh
+    }
+
+    /// The longest delay that the last [accepted](Self::accept) datagram shows until `now`: the round trip of the newest
+    /// datagram that it acknowledges first, with the wait of the acknowledgement for its datagram, and the loss before
+    /// it. A loss counts up to [`GAP_LIMIT`], because a peer can pretend it, and timelines bridge no longer one.
+    pub(super) fn round_trip(&self, now: ServerTime) -> Option<Span> {
+        self.answered
+            .map(|(left, lost)| now - left + lost.min(GAP_LIMIT))
     }
 
     pub(super) fn count_misdirected(&mut self) {
@@ -309,6 +348,7 @@ impl Link {
         generated: ServerTime,
     ) -> Result<(u32, Vec<u8>, Body), Option<Body>> {
         let tag = self.tag.ok_or(None)?;
+        let left = generated;
         let generated = match &mut body {
             // Its newest sample then needs no time of its own.
             Body::Motion(tracks) => {
@@ -348,7 +388,11 @@ impl Link {
         if self.sent_at.len() == TIMES_KEPT_MAX {
             self.sent_at.pop_front();
         }
-        self.sent_at.push_back((sequence, generated));
+        self.sent_at.push_back(SentAt {
+            sequence,
+            generated,
+            left,
+        });
         if datagram.header.acknowledged.is_some() {
             self.unacknowledged = 0;
             self.acknowledged_at = generated;

@@ -18,6 +18,7 @@ mod motion_batch;
 mod outbox;
 mod picture;
 mod preamble;
+mod round_trip;
 mod server;
 
 use std::sync::Arc;
@@ -101,7 +102,7 @@ pub enum CloseReason {
 pub enum ClientEvent {
     /// The handshake is done. The operations of the log follow as events.
     Welcomed(Box<Welcome>),
-    /// The next operation of the log; in order and without gaps.
+    /// The next operation of the log, in order. A gap in the numbers stands for operations that no longer matter.
     Operation(Operation),
     /// All operations that were in the log at the welcome have been returned.
     CaughtUp,
@@ -152,6 +153,8 @@ pub struct PeerMotion {
     pub late: Lateness,
     /// How long it may have waited for a stalled receiver.
     pub stall: Span,
+    /// The longest round trip of the last half minute, from acknowledgements; `None` before the first one.
+    pub round_trip: Option<Span>,
 }
 
 impl PeerMotion {
@@ -162,6 +165,7 @@ impl PeerMotion {
             arrived,
             late: Lateness::NONE,
             stall: Span::ZERO,
+            round_trip: None,
         }
     }
 

@@ -5,14 +5,16 @@ use std::collections::VecDeque;
 use crate::codec::{self, FrameDecoder};
 use crate::datagram::TRACKS_MAX;
 use crate::datagram::{Body, Probe, Reply};
-use crate::handshake::{PROTOCOL_VERSION, Preamble, RefusalReason, Refused, name_is_valid};
+use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, RefusalReason, Refused};
 use crate::lateness::LONG_STALL;
+use crate::name;
 use crate::request::{
     ClientMessage, Request, RequestKind, RequestRefusal, RequestRefused, ServerMessage,
 };
 use crate::session::outbox::Outbox;
 use crate::session::picture::{PictureStats, PictureStream};
 use crate::session::preamble::{self, PreambleReader};
+use crate::session::round_trip::RoundTrip;
 use crate::session::{
     CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, HEARTBEAT, Link, LinkStats, MotionRound,
     PEER_SILENCE, PeerDatagram, PeerEvent, PeerMessage, PeerMotion, STREAM_BACKLOG_MAX_BYTES,
@@ -81,6 +83,7 @@ pub struct ServerPeer {
     /// The rate of accepted requests, and that of refused ones.
     accepted: TokenBucket,
     refused: TokenBucket,
+    round_trip: RoundTrip,
 }
 
 impl ServerPeer {
@@ -99,6 +102,7 @@ impl ServerPeer {
             heartbeat_due: now,
             accepted: TokenBucket::new(rate, rate, now - ServerTime::ZERO),
             refused: TokenBucket::new(rate, REFUSALS_BURST_MAX.into(), now - ServerTime::ZERO),
+            round_trip: RoundTrip::default(),
         }
     }
 
@@ -145,15 +149,17 @@ impl ServerPeer {
         now: ServerTime,
     ) -> Result<(), ProtocolError> {
         match (&self.state, message) {
-            (State::Hello, ClientMessage::Hello(hello)) => {
-                if name_is_valid(&hello.name) {
+            (State::Hello, ClientMessage::Hello(hello)) => match name::normalise(&hello.name) {
+                Ok(name) => {
                     self.state = State::AwaitsRoom;
-                    self.emit(PeerEvent::Hello(hello));
+                    self.emit(PeerEvent::Hello(Hello { name, ..hello }));
                     Ok(())
-                } else {
-                    self.refuse(Refused::because(RefusalReason::BadName))
                 }
-            }
+                Err(error) => {
+                    let reason = error.to_string();
+                    self.refuse(Refused::because(RefusalReason::BadName { reason }))
+                }
+            },
             (State::Joined { .. }, ClientMessage::Request(request)) => {
                 self.handle_request(request, now)
             }
@@ -216,6 +222,10 @@ impl ServerPeer {
             return;
         };
         self.last_received = now;
+        // The round trip would include this machine's stall.
+        if stall <= LONG_STALL {
+            self.round_trip.note(self.link.round_trip(now), now);
+        }
         if let Some(picture) = &mut self.picture {
             picture.acknowledge(self.link.fresh(), now);
         }
@@ -256,6 +266,7 @@ impl ServerPeer {
                     arrived: now,
                     late: track.late,
                     stall,
+                    round_trip: self.round_trip.longest(),
                 }));
             }
         }
@@ -349,8 +360,9 @@ impl ServerPeer {
             (PeerMessage::Welcome(_), _) => not_joined("welcome without a hello"),
             (PeerMessage::Refused(refused), _) => self.refuse(refused.clone()),
             (PeerMessage::Operation(operation), State::Joined { next_operation, .. }) => {
-                if operation.id != *next_operation {
-                    return Err(ProtocolError::OperationGap {
+                // A gap stands for operations that no longer matter.
+                if operation.id < *next_operation {
+                    return Err(ProtocolError::OperationOrder {
                         expected: next_operation.0,
                         found: operation.id.0,
                     });

@@ -92,7 +92,11 @@ fn run_client(from: &str, what: &str) -> &'static str {
             sentence: "a test".into(),
         },
         "an operation" | "the next operation" => ServerMessage::Operation(operation_at(0)),
-        "an operation out of order" => ServerMessage::Operation(operation_at(7)),
+        "a repeated operation" => {
+            let first = ServerMessage::Operation(operation_at(0));
+            client.handle_stream(&encode_frame(&first).unwrap(), now);
+            first
+        }
         _ => {
             match what {
                 "the server's preamble" => client.handle_stream(&Preamble::OURS.to_bytes(), now),

@@ -17,7 +17,7 @@ use palpate_protocol::datagram::Corrections;
 use palpate_protocol::operation::CutStroke;
 use palpate_protocol::request::{CutRequest, RequestRefusal};
 use palpate_protocol::session::Picture;
-use palpate_protocol::{ParticipantId, RequestId, ServerTime, TopologyHash};
+use palpate_protocol::{ParticipantId, RequestId, ServerTime, Span, TopologyHash};
 use palpate_tissue::{
     Budget, CutError, CutOutcome, Follower, Model, Shape, Solver, Successor, Tool, Topology, cut,
 };
@@ -98,6 +98,8 @@ pub enum TissueReport {
         request: RequestId,
         /// The stroke in the rest frame and the topology after it.
         result: Result<LoggedCut, RequestRefusal>,
+        /// CPU time of the preparation, charged to the author. The thread that calls [`Cutter::make`] measures it.
+        took: Span,
     },
 }
 
@@ -293,6 +295,7 @@ impl Cutter {
             author: job.author,
             request: job.request,
             result,
+            took: Span::ZERO,
         };
         let topology = Arc::make_mut(&mut self.topology);
         let outcome = match cut(topology, &convert::stroke_to_tissue(&job.stroke)) {

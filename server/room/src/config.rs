@@ -4,6 +4,8 @@ use palpate_protocol::compensation::CAP_DEFAULT;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
 use palpate_protocol::{Epoch, Grant, ModelInfo, ParticipantId, ResumeToken, Role, Span};
 
+use crate::joins::RoleClass;
+
 /// Maximum number of participants. A roster must fit one frame, and every tool costs a contact search per
 /// tick. Further clients are refused.
 pub const SEATS_MAX: u16 = 64;
@@ -17,8 +19,10 @@ pub struct RoomConfig {
     pub model: ModelInfo,
     /// The secret of the join link, per role.
     pub grants: Vec<(Role, Grant)>,
-    /// Seats, at most [`SEATS_MAX`].
+    /// Seats, at most [`SEATS_MAX`]. With more than two, one is for an instructor if the session has a grant for one.
     pub seats: u16,
+    /// How many of the seats spectators and recorders may take together.
+    pub spectators: u16,
     /// Ticks per second of the authoritative tissue and of all views.
     pub tick_hz: u32,
     /// Playout delay.
@@ -34,6 +38,23 @@ impl RoomConfig {
     /// Length of a tick.
     pub fn tick_period(&self) -> Span {
         Span::from_micros(1_000_000 / i64::from(self.tick_hz.max(1)))
+    }
+
+    /// The classes of roles that share seats with a class, and the seats that they may take together.
+    pub(crate) fn limits_of(&self, class: RoleClass) -> Vec<(&'static [RoleClass], u16)> {
+        use RoleClass::{Instructors, Observers, Trainees};
+        let seats = self.seats.min(SEATS_MAX);
+        let has_instructor = self.grants.iter().any(|(r, _)| *r == Role::Instructor);
+        let reserved = u16::from(has_instructor && seats > 2);
+        let mut limits: Vec<(&[RoleClass], u16)> =
+            vec![(&[Instructors, Trainees, Observers], seats)];
+        if class != Instructors {
+            limits.push((&[Trainees, Observers], seats - reserved));
+        }
+        if class == Observers {
+            limits.push((&[Observers], self.spectators));
+        }
+        limits
     }
 
     /// The largest playout delay. A participant that needs more is demoted.

@@ -9,9 +9,14 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod authority;
+mod bucket;
 mod config;
 mod convert;
+mod cut_budget;
+mod cut_queue;
 mod fan_out;
+mod joins;
+mod limits;
 mod log;
 mod participant;
 mod pictures;
@@ -20,11 +25,13 @@ mod room;
 mod simulated;
 #[cfg(test)]
 mod tests;
+mod track;
 
 pub use authority::{
     Authority, CutJob, CutOrder, Cutter, LoggedCut, PreparedCut, Settling, TickReport, TissueOrder,
     TissueReport,
 };
 pub use config::{RoomConfig, SEATS_MAX};
+pub use limits::{Limit, LimitCounters};
 pub use room::{Output, PeerKey, Room};
 pub use simulated::SimulatedRoom;

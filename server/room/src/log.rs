@@ -1,145 +1,383 @@
-//! The operation log and its limits by kind of operation.
+//! The operation log, its compaction, and its shares.
 //!
 //! A client that joins or resyncs receives the whole log at once, so the log must fit the backlog of one peer, in
-//! number and in bytes. The least necessary operations are rejected first. Operations that end something are always
-//! written:
+//! number and in bytes.
 //!
 //! ```text
-//! change of the playout delay                     up to  8,000 operations
-//! cut, demotion                                   up to 16,000 operations and 28 MiB
-//! join, resumption with its tool change           up to 18,000 operations and 30 MiB
-//! leave, disconnect, restored tool, session start always; at most three per occupied seat are outstanding
+//! cuts                               7,000 operations and 28 MiB, shared between the authors
+//! changes of the playout delay       8,000 operations
+//! participants                       compacted: bounded by the rates of joins and resumptions
 //! ```
+//!
+//! **Compaction.** A newcomer knows the present participants from its welcome and needs no operation about one who has
+//! left. A resuming client may miss operations of the last minute, because its seat is kept that long. Operations about
+//! participants are therefore dropped once they are [`KEPT`] old and superseded: all about a participant who has left, a
+//! reconnect with its loss, a restored tool with its demotion, an earlier tool. Numbers of operations stay; a gap
+//! stands for what was dropped.
+//!
+//! **Shares.** A cut is accepted if its author has used less than what is left. One author can therefore use at most
+//! half, and every other present participant still cuts. An author who joins again inherits what those who left have
+//! used.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use palpate_protocol::codec::{FRAME_MAX_BYTES, encode_frame};
-use palpate_protocol::operation::Operation;
+use palpate_protocol::handshake::SEAT_RETENTION;
+use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::ServerMessage;
-use palpate_protocol::session::STREAM_BACKLOG_MAX_BYTES;
+use palpate_protocol::{OperationId, ParticipantId, ServerTime, Span};
 
-/// Limit for changes of the playout delay; beyond it the delay is constant. Half of the log is left for the tissue.
-/// At a constant four changes per second, more than networks need, this is half an hour.
+/// Limit for changes of the playout delay; beyond it the delay is constant.
 const DELAYS_MAX: usize = 8_000;
 
-/// Limit for cuts and demotions. The host should then save the tissue as a new model.
-const OPERATIONS_MAX: usize = 16_000;
+/// Space of all cuts in bytes. Together with the other operations it fits the backlog of a peer.
+const CUTS_MAX_BYTES: u64 = 28 * 1024 * 1024;
 
-/// Limit for joins and resumptions. The transport lets 20,000 operations wait for a peer.
-const JOINS_MAX: usize = 18_000;
+/// Limit for cuts.
+const CUTS_MAX: u64 = 7_000;
 
-/// Bytes of a peer's backlog reserved beyond cuts: two thousand of the longest operations without stroke (a name of
-/// 64 B and a tool) take half of it.
-const BYTES_LEFT_FOR_SEATS: usize = 4 * 1024 * 1024;
+/// Least space of a cut in bytes, so that one measure bounds number and bytes.
+const CUT_MIN_BYTES: u64 = CUTS_MAX_BYTES.div_ceil(CUTS_MAX);
 
-/// Bytes reserved beyond joins: a welcome and the operations that are always written.
-const BYTES_LEFT_FOR_ENDS: usize = 2 * 1024 * 1024;
+/// Limit for operations about participants. Joins (three classes of 64 and 0.5 per second, three operations each) and
+/// resumptions (64 seats with 8 and 0.2 per second, two operations each) of [`KEPT`] stay below it. With cuts and
+/// changes of the delay it is the 20,000 that the transport lets wait for a peer.
+const PARTICIPANTS_MAX: usize = 5_000;
 
-/// The operations of a session.
+/// Age from which superseded operations are dropped: a seat is kept for 60 s, and a lost connection is noticed within
+/// 2 s on both sides.
+const KEPT: Span = Span::from_micros(SEAT_RETENTION.as_micros() + 10_000_000);
+
+/// Time between two compactions.
+const COMPACTION_PERIOD: Span = Span::from_millis(1000);
+
+/// The operations of a session that still matter, in order.
 #[derive(Debug, Default)]
 pub(crate) struct Log {
     operations: Vec<Arc<Operation>>,
-    bytes: usize,
+    /// Number of the next operation.
+    next: u64,
+    delays: usize,
+    about_participants: usize,
+    /// Space used by cuts, bytes.
+    cuts_bytes: u64,
+    next_compaction: ServerTime,
 }
 
 impl Log {
-    /// Appends an operation.
-    pub(crate) fn push(&mut self, operation: Arc<Operation>) {
-        let message = ServerMessage::Operation(operation.as_ref().clone());
-        // An operation that fits no frame is never sent, and counts as the longest.
-        self.bytes += encode_frame(&message).map_or(FRAME_MAX_BYTES, |frame| frame.len());
+    /// Appends an operation with the [next number](Self::next). Returns the space that it uses if it is a cut, bytes.
+    pub(crate) fn push(&mut self, operation: Arc<Operation>) -> u64 {
+        let space = match &operation.kind {
+            OperationKind::Cut(_) => {
+                let message = ServerMessage::Operation(operation.as_ref().clone());
+                // An operation that fits no frame is never sent, and counts as the longest.
+                let bytes = encode_frame(&message).map_or(FRAME_MAX_BYTES, |frame| frame.len());
+                CUT_MIN_BYTES.max(bytes as u64)
+            }
+            OperationKind::Compensation { .. } => {
+                self.delays += 1;
+                0
+            }
+            _ => {
+                self.about_participants += 1;
+                0
+            }
+        };
+        self.cuts_bytes += space;
+        self.next = operation.id.0 + 1;
         self.operations.push(operation);
+        space
     }
 
-    /// Number of operations.
+    /// The number of the next operation: how many were appended.
+    pub(crate) fn next(&self) -> OperationId {
+        OperationId(self.next)
+    }
+
+    /// Operations that are kept.
+    #[cfg(test)]
     pub(crate) fn len(&self) -> usize {
         self.operations.len()
     }
 
-    /// The operation with this number.
-    pub(crate) fn get(&self, number: usize) -> Option<&Arc<Operation>> {
-        self.operations.get(number)
+    /// The last kept operation before this number.
+    pub(crate) fn last_before(&self, number: OperationId) -> Option<&Arc<Operation>> {
+        self.operations[..self.index_of(number)].last()
     }
 
-    /// The operations from this number on.
-    pub(crate) fn since(&self, first: usize) -> &[Arc<Operation>] {
-        self.operations.get(first..).unwrap_or_default()
+    /// The kept operations from this number on.
+    pub(crate) fn since(&self, first: OperationId) -> &[Arc<Operation>] {
+        &self.operations[self.index_of(first)..]
+    }
+
+    fn index_of(&self, number: OperationId) -> usize {
+        self.operations.partition_point(|o| o.id < number)
     }
 
     /// Whether a change of the delay fits.
     pub(crate) fn takes_delay(&self) -> bool {
-        self.len() < DELAYS_MAX && self.takes_bytes(BYTES_LEFT_FOR_SEATS)
+        self.delays < DELAYS_MAX
     }
 
-    /// Whether a cut or a demotion fits.
-    pub(crate) fn takes_work(&self) -> bool {
-        self.len() < OPERATIONS_MAX && self.takes_bytes(BYTES_LEFT_FOR_SEATS)
+    /// Whether a cut fits whose author has used this space, bytes.
+    pub(crate) fn takes_cut(&self, used: u64) -> bool {
+        let left = CUTS_MAX_BYTES.saturating_sub(self.cuts_bytes + FRAME_MAX_BYTES as u64);
+        used < left
     }
 
     /// Whether a join or a resumption fits.
     pub(crate) fn takes_seat(&self) -> bool {
-        self.len() < JOINS_MAX && self.takes_bytes(BYTES_LEFT_FOR_ENDS)
+        self.about_participants < PARTICIPANTS_MAX
     }
 
-    /// Whether the longest operation leaves `left` bytes of a peer's backlog.
-    fn takes_bytes(&self, left: usize) -> bool {
-        self.bytes + FRAME_MAX_BYTES + left <= STREAM_BACKLOG_MAX_BYTES
+    /// Drops operations about participants that no longer matter, once per [`COMPACTION_PERIOD`].
+    pub(crate) fn compact(&mut self, now: ServerTime) {
+        if now < self.next_compaction {
+            return;
+        }
+        self.next_compaction = now + COMPACTION_PERIOD;
+        let mut superseding = Superseding::default();
+        let mut keeps: Vec<bool> = self
+            .operations
+            .iter()
+            .rev()
+            .map(|o| superseding.keeps(o, now))
+            .collect();
+        keeps.reverse();
+        let mut keeps = keeps.into_iter();
+        let before = self.operations.len();
+        self.operations.retain(|_| keeps.next().unwrap_or(true));
+        self.about_participants -= before - self.operations.len();
+    }
+}
+
+/// Later operations that supersede earlier ones about the same participant, while the log is read backwards.
+#[derive(Debug, Default)]
+struct Superseding {
+    /// Participants who left more than [`KEPT`] ago.
+    left: BTreeSet<ParticipantId>,
+    /// Participants who reconnected more than [`KEPT`] ago.
+    reconnected: BTreeSet<ParticipantId>,
+    restored: BTreeSet<ParticipantId>,
+    changed: BTreeSet<ParticipantId>,
+}
+
+impl Superseding {
+    fn keeps(&mut self, operation: &Operation, now: ServerTime) -> bool {
+        let is_old = now - operation.at >= KEPT;
+        let Some(who) = about(&operation.kind).filter(|_| is_old) else {
+            return true;
+        };
+        if matches!(operation.kind, OperationKind::Left { .. }) {
+            self.left.insert(who);
+        }
+        let is_superseded = match operation.kind {
+            OperationKind::Reconnected { .. } => {
+                self.reconnected.insert(who);
+                true
+            }
+            OperationKind::Disconnected { .. } => self.reconnected.contains(&who),
+            OperationKind::Restored { .. } => {
+                self.restored.insert(who);
+                true
+            }
+            OperationKind::Demoted { .. } => self.restored.contains(&who),
+            // The first later change seen is the newest.
+            OperationKind::ToolChanged { .. } => !self.changed.insert(who),
+            _ => false,
+        };
+        !is_superseded && !self.left.contains(&who)
+    }
+}
+
+/// The participant whom an operation is about; `None` for operations about the tissue and the session.
+fn about(kind: &OperationKind) -> Option<ParticipantId> {
+    match kind {
+        OperationKind::Joined { participant, .. }
+        | OperationKind::Left { participant, .. }
+        | OperationKind::Disconnected { participant }
+        | OperationKind::Reconnected { participant }
+        | OperationKind::ToolChanged { participant, .. }
+        | OperationKind::Demoted { participant, .. }
+        | OperationKind::Restored { participant } => Some(*participant),
+        OperationKind::Cut(_)
+        | OperationKind::Started { .. }
+        | OperationKind::Compensation { .. } => None,
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use palpate_protocol::operation::{BladePoint, CutStroke, OperationKind, STROKE_MAX_POINTS};
-    use palpate_protocol::{OperationId, ParticipantId, ServerTime, TopologyHash};
+    use palpate_protocol::operation::{BladePoint, CutStroke, LeaveReason, STROKE_MAX_POINTS};
+    use palpate_protocol::session::STREAM_BACKLOG_MAX_BYTES;
+    use palpate_protocol::tool::ToolDescription;
+    use palpate_protocol::{Role, TopologyHash};
+    use proptest::prelude::*;
 
     use super::*;
 
-    fn operation(kind: OperationKind) -> Arc<Operation> {
-        Arc::new(Operation {
-            id: OperationId(u64::MAX),
-            at: ServerTime::from_micros(i64::MAX),
+    fn at(s: i64) -> ServerTime {
+        ServerTime::from_micros(s * 1_000_000)
+    }
+
+    fn add(log: &mut Log, second: i64, kind: OperationKind) -> u64 {
+        log.push(Arc::new(Operation {
+            id: log.next(),
+            at: at(second),
             author: ParticipantId(u16::MAX),
             topology_version_before: u32::MAX,
             topology_version_after: u32::MAX,
             hash_after: TopologyHash(u64::MAX),
             kind,
-        })
+        }))
     }
 
-    #[test]
-    fn a_log_full_of_longest_strokes_still_fits_a_new_client() {
+    fn stroke(points: usize) -> OperationKind {
         let blade = BladePoint {
             tip_m: [0.123; 3],
             axis: [0.0, 0.0, 1.0],
             depth_m: 0.03,
         };
-        let stroke = operation(OperationKind::Cut(CutStroke {
-            points: vec![blade; STROKE_MAX_POINTS],
+        OperationKind::Cut(CutStroke {
+            points: vec![blade; points],
             width_m: 0.001,
-        }));
-        let mut log = Log::default();
-        while log.takes_work() {
-            log.push(Arc::clone(&stroke));
+        })
+    }
+
+    fn joined(who: u16) -> OperationKind {
+        OperationKind::Joined {
+            participant: ParticipantId(who),
+            name: "x".repeat(64),
+            role: Role::Trainee,
+            tool: Some(ToolDescription::scalpel(0.001, 0.02)),
         }
-        assert!(log.len() > 900, "{} strokes", log.len());
-        assert!(log.takes_seat());
-        assert!(log.bytes + BYTES_LEFT_FOR_SEATS <= STREAM_BACKLOG_MAX_BYTES);
+    }
+
+    /// The bytes of the log on the wire.
+    fn bytes(log: &Log) -> usize {
+        let frame = |o: &Arc<Operation>| {
+            encode_frame(&ServerMessage::Operation(o.as_ref().clone())).unwrap()
+        };
+        log.since(OperationId(0))
+            .iter()
+            .map(|o| frame(o).len())
+            .sum()
     }
 
     #[test]
-    fn delay_changes_are_rejected_first_then_cuts_then_joins() {
-        let back = operation(OperationKind::Reconnected {
-            participant: ParticipantId(1),
-        });
-        let mut log = Log::default();
-        let mut ends = [0; 3];
-        while log.takes_seat() {
-            let takes = [log.takes_delay(), log.takes_work(), log.takes_seat()];
-            for (end, _) in ends.iter_mut().zip(takes).filter(|(_, takes)| *takes) {
-                *end = log.len() + 1;
+    fn full_log_of_longest_operations_fits_a_new_client() {
+        for points in [2, STROKE_MAX_POINTS] {
+            let mut log = Log::default();
+            while log.takes_cut(0) {
+                add(&mut log, 0, stroke(points));
             }
-            log.push(Arc::clone(&back));
+            assert!(log.len() > 900, "{} strokes", log.len());
+            while log.takes_delay() {
+                let change = OperationKind::Compensation {
+                    delay_us: u32::MAX,
+                    effective_at: at(i64::from(u32::MAX)),
+                };
+                add(&mut log, 0, change);
+            }
+            while log.takes_seat() {
+                add(&mut log, 0, joined(u16::MAX));
+            }
+            assert!(log.len() <= 20_000, "{}", log.len());
+            assert!(bytes(&log) + FRAME_MAX_BYTES < STREAM_BACKLOG_MAX_BYTES);
         }
-        assert_eq!(ends, [DELAYS_MAX, OPERATIONS_MAX, JOINS_MAX]);
+    }
+
+    #[test]
+    fn newcomers_read_nothing_about_departed_participants() {
+        let who = ParticipantId(7);
+        let mut log = Log::default();
+        add(&mut log, 0, joined(7));
+        add(&mut log, 0, joined(8));
+        add(
+            &mut log,
+            10,
+            OperationKind::Disconnected { participant: who },
+        );
+        add(
+            &mut log,
+            11,
+            OperationKind::Reconnected { participant: who },
+        );
+        add(&mut log, 20, stroke(2));
+        add(
+            &mut log,
+            30,
+            OperationKind::Disconnected { participant: who },
+        );
+        log.compact(at(90));
+        assert_eq!(log.len(), 4, "the reconnect and its loss are dropped");
+        let reason = LeaveReason::Silent;
+        let left = OperationKind::Left {
+            participant: who,
+            reason,
+        };
+        add(&mut log, 91, left);
+        log.compact(at(160));
+        assert_eq!(
+            log.len(),
+            5,
+            "a client may still resume without the last minute"
+        );
+        log.compact(at(162));
+        let kept: Vec<u64> = log.since(OperationId(0)).iter().map(|o| o.id.0).collect();
+        assert_eq!(kept, [1, 4], "the other participant and the cut");
+        assert_eq!(log.next(), OperationId(7));
+        assert_eq!(log.last_before(OperationId(4)).unwrap().id.0, 1);
+        assert_eq!(log.last_before(OperationId(7)).unwrap().id.0, 4);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(16))]
+
+        /// One author cuts as much as it may, also under new numbers.
+        #[test]
+        fn other_authors_still_cut_whatever_one_author_does(
+            cuts in prop::collection::vec((1_usize..STROKE_MAX_POINTS, any::<bool>()), 1..50),
+            others in 0_u64..2_000_000,
+        ) {
+            let mut log = Log::default();
+            let (mut departed, mut used) = (0, 0);
+            for (points, rejoins) in cuts.into_iter().cycle().take(8_000) {
+                if rejoins {
+                    // A newcomer inherits the space of those who left.
+                    departed = used;
+                }
+                if log.takes_cut(used) {
+                    used += add(&mut log, 0, stroke(points));
+                }
+            }
+            prop_assert!(departed <= used);
+            prop_assert!(log.takes_cut(others), "{} used of the log", used);
+        }
+
+        #[test]
+        fn churn_of_participants_keeps_the_log_short(
+            steps in prop::collection::vec((0_u16..4, any::<bool>()), 1..100),
+        ) {
+            let mut log = Log::default();
+            let mut who = 0;
+            for (second, (joins, leaves)) in (0..4000).zip(steps.iter().cycle()) {
+                for _ in 0..*joins {
+                    who += 1;
+                    add(&mut log, second, joined(who));
+                    if *leaves {
+                        let reason = LeaveReason::Left;
+                        add(&mut log, second, OperationKind::Left { participant: ParticipantId(who), reason });
+                    } else {
+                        add(&mut log, second, OperationKind::Disconnected { participant: ParticipantId(who) });
+                        add(&mut log, second, OperationKind::Left { participant: ParticipantId(who), reason: LeaveReason::Silent });
+                    }
+                }
+                log.compact(at(second));
+            }
+            prop_assert!(log.len() <= 72 * 4 * 3);
+            prop_assert!(log.about_participants == log.len());
+        }
     }
 }

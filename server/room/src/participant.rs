@@ -2,7 +2,8 @@
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use palpate_protocol::compensation::{DelayEstimator, Demotion};
-use palpate_protocol::handshake::{RosterEntry, Subscription};
+use palpate_protocol::handshake::{Hello, RosterEntry, SEAT_RETENTION, Subscription};
+use palpate_protocol::name::Appearance;
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::{ToolDescription, ToolKind, ToolPart, part_id};
@@ -10,7 +11,11 @@ use palpate_protocol::{ParticipantId, ResumeToken, Role, ServerTime, Span};
 use palpate_tissue::{Form, Tool, Vec3};
 
 use crate::PeerKey;
+use crate::bucket::Bucket;
+use crate::cut_budget::CutBudget;
+use crate::joins;
 use crate::request_history::RequestHistory;
+use crate::track::Track;
 
 /// Bit of the primary button in a sample.
 const PRIMARY_BUTTON: u8 = 1;
@@ -27,26 +32,45 @@ pub(crate) enum Presence {
     },
 }
 
+/// What a delay estimate may have above the measured path: the longest round of motion and a batch (20 ms), and the
+/// margin of bursts (5 ms).
+const UNEXPLAINED_MAX: Span = Span::from_millis(25);
+
+/// A measured path with [`UNEXPLAINED_MAX`], µs.
+fn limit_us(path: Span) -> u32 {
+    let us = (path + UNEXPLAINED_MAX).as_micros();
+    u32::try_from(us.max(0)).unwrap_or(u32::MAX)
+}
+
 /// A participant of the session.
 #[derive(Debug)]
 pub(crate) struct Participant {
     pub(crate) presence: Presence,
     /// Token that resumes the seat.
     pub(crate) token: ResumeToken,
-    /// Number of resumptions.
-    pub(crate) resumed: u16,
+    /// Budget of resumptions.
+    pub(crate) resumptions: Bucket,
+    /// The first motion of its tool.
+    moved_since: Option<ServerTime>,
     pub(crate) id: ParticipantId,
     pub(crate) name: String,
+    pub(crate) appearance: Appearance,
     pub(crate) role: Role,
     pub(crate) tool: Option<ToolDescription>,
     /// Full or thin subscription to the tissue.
     pub(crate) subscription: Subscription,
     /// Samples of the tool, for the authoritative shape.
     pub(crate) timeline: Timeline,
+    /// Where the tool was, for the check of strokes.
+    pub(crate) track: Track,
+    /// Its share of the work of cutting.
+    pub(crate) cuts: CutBudget,
     /// Requests of the seat, for the detection of repetitions.
     pub(crate) requests: RequestHistory,
     /// Age of its samples on arrival at the server.
     pub(crate) delay: DelayEstimator,
+    /// The longest round trip of the last half minute; `None` before it is known.
+    pub(crate) round_trip: Option<Span>,
     /// The last delay report of the client, with its time of reception.
     pub(crate) report: Option<(ServerTime, DelayReport)>,
     /// Its downlink at the last delay report, µs.
@@ -62,27 +86,33 @@ pub(crate) struct Participant {
 }
 
 impl Participant {
+    /// A participant who joins now.
     pub(crate) fn new(
         peer: PeerKey,
         token: ResumeToken,
         id: ParticipantId,
-        name: String,
-        role: Role,
-        tool: Option<ToolDescription>,
+        hello: Hello,
         cap: Span,
+        cuts: CutBudget,
+        now: ServerTime,
     ) -> Self {
         Self {
             presence: Presence::Connected(peer),
             token,
-            resumed: 0,
+            resumptions: joins::resumptions(now),
+            moved_since: None,
             id,
-            name,
-            role,
-            tool,
-            subscription: Subscription::Full,
+            appearance: Appearance::of(&hello.name),
+            name: hello.name,
+            role: hello.role,
+            tool: hello.tool.filter(|_| hello.role.has_tool()),
+            subscription: hello.subscription,
             timeline: Timeline::default(),
+            track: Track::default(),
+            cuts,
             requests: RequestHistory::default(),
             delay: DelayEstimator::default(),
+            round_trip: None,
             report: None,
             downlink_us: 0,
             demotion: Demotion::new(cap),
@@ -90,6 +120,49 @@ impl Participant {
             inactive_from: None,
             previous: None,
         }
+    }
+
+    /// Notes motion of the tool that arrives now.
+    pub(crate) fn note_motion(&mut self, round_trip: Option<Span>, now: ServerTime) {
+        self.round_trip = round_trip;
+        self.moved_since.get_or_insert(now);
+    }
+
+    /// Whether its kept seat gives way to a newcomer: it has been away for longer than it took part. Therefore one
+    /// participant occupies at most two seats, however often it joins and drops.
+    pub(crate) fn gives_way(&self, now: ServerTime) -> bool {
+        let Some(until) = self.kept_until() else {
+            return false;
+        };
+        let lost = until - SEAT_RETENTION;
+        self.moved_since
+            .is_none_or(|since| now - lost >= lost - since)
+    }
+
+    /// Age of its samples on arrival, as far as the measured round trip explains it; `None` until both are known.
+    /// Sample times come from the client, the round trip does not.
+    pub(crate) fn explained_uplink(&self) -> Option<DelayReport> {
+        let report = self.delay.report()?;
+        let most = limit_us(self.round_trip?);
+        Some(DelayReport {
+            wanted_us: report.wanted_us.min(most),
+            ..report
+        })
+    }
+
+    /// A delay report as far as the longest uplink of the other participants and the measured round trip explain it;
+    /// `None` for a participant whose own samples are not measured.
+    pub(crate) fn explained(
+        &self,
+        report: DelayReport,
+        longest_uplink: Span,
+    ) -> Option<DelayReport> {
+        self.delay.report()?;
+        let most = limit_us(longest_uplink + self.round_trip?);
+        Some(DelayReport {
+            wanted_us: report.wanted_us.min(most),
+            ..report
+        })
     }
 
     /// Deactivates the tool from a time on. An inactive tool stays inactive.
@@ -119,9 +192,17 @@ impl Participant {
         }
     }
 
+    /// Until when the seat is kept without a connection.
+    pub(crate) fn kept_until(&self) -> Option<ServerTime> {
+        match self.presence {
+            Presence::Connected(_) => None,
+            Presence::Disconnected { until } => Some(until),
+        }
+    }
+
     /// Whether the time for which the seat is kept is over.
     pub(crate) fn is_expired(&self, now: ServerTime) -> bool {
-        matches!(self.presence, Presence::Disconnected { until } if now >= until)
+        self.kept_until().is_some_and(|until| now >= until)
     }
 
     /// Handles a lost connection: deactivates the tool and resets the delay estimate, which does not apply to the next
@@ -129,6 +210,7 @@ impl Participant {
     pub(crate) fn disconnect(&mut self, at: ServerTime) {
         self.deactivate(at);
         self.delay = DelayEstimator::default();
+        self.round_trip = None;
         self.report = None;
     }
 

@@ -1,5 +1,6 @@
 //! The state machine of a session.
 
+mod cuts;
 mod demotion;
 mod seats;
 
@@ -10,7 +11,7 @@ use palpate_protocol::compensation::{DelaySchedule, GroupDelay};
 use palpate_protocol::handshake::Subscription;
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::{
-    CutRequest, DelayReport, Request, RequestKind, RequestRefusal, RequestRefused,
+    DelayReport, Request, RequestKind, RequestRefusal, RequestRefused,
 };
 use palpate_protocol::session::{PeerDatagram, PeerEvent, PeerMessage, PeerMotion};
 use palpate_protocol::{
@@ -18,9 +19,13 @@ use palpate_protocol::{
 };
 use palpate_tissue::Tool;
 
-use crate::authority::{CutOrder, Settling, TissueOrder, TissueReport};
+use crate::authority::{Settling, TissueOrder, TissueReport};
+use crate::bucket::Bucket;
 use crate::config::RoomConfig;
+use crate::cut_queue::CutQueue;
 use crate::fan_out::FanOut;
+use crate::joins::Joins;
+use crate::limits::{Limit, LimitCounters};
 use crate::log::Log;
 use crate::participant::Participant;
 use crate::request_history::Repetition;
@@ -31,8 +36,10 @@ const START_LEAD: Span = Span::from_millis(1000);
 /// Time between two corrections of displacements.
 const CORRECTION_PERIOD: Span = Span::from_millis(100);
 
-/// Maximum cuts in preparation; further ones are refused. Each takes 0.1 s or more.
-const CUTS_IN_PREPARATION_MAX: usize = 16;
+/// Changes of the delay at once, and per second in the long run. Networks need a few per second for a while; with this
+/// rate the log takes them for more than four hours.
+const DELAY_CHANGES_BURST: f64 = 4000.0;
+const DELAY_CHANGES_PER_S: f64 = 0.25;
 
 /// Number of a connection, assigned by the server program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -80,7 +87,12 @@ pub struct Room {
     /// Whether the tissue is solving a tick.
     is_settling: bool,
     ticks_skipped: u64,
-    cuts_in_preparation: usize,
+    cut_queue: CutQueue,
+    /// Log space of the cuts of participants who have left, bytes.
+    departed_log: u64,
+    joins: Joins,
+    delay_changes: Bucket,
+    limits: LimitCounters,
     orders: VecDeque<TissueOrder>,
     outputs: VecDeque<Output>,
 }
@@ -109,7 +121,16 @@ impl Room {
             fan_out: FanOut::default(),
             is_settling: false,
             ticks_skipped: 0,
-            cuts_in_preparation: 0,
+            cut_queue: CutQueue::default(),
+            departed_log: 0,
+            joins: Joins::new(now),
+            delay_changes: Bucket::new(
+                DELAY_CHANGES_BURST,
+                DELAY_CHANGES_PER_S,
+                DELAY_CHANGES_BURST,
+                now,
+            ),
+            limits: LimitCounters::default(),
             orders: VecDeque::new(),
             outputs: VecDeque::new(),
             config,
@@ -120,8 +141,8 @@ impl Room {
     pub fn handle_event(&mut self, peer: PeerKey, event: PeerEvent, now: ServerTime) {
         match (event, self.by_peer.get(&peer).copied()) {
             (PeerEvent::Hello(hello), None) => self.handle_hello(peer, hello, now),
-            (PeerEvent::Request(request), Some(who)) => self.handle_request(who, request),
-            (PeerEvent::Motion(motion), Some(who)) => self.handle_motion(who, &motion, now),
+            (PeerEvent::Request(request), Some(who)) => self.handle_request(who, request, now),
+            (PeerEvent::Motion(motion), Some(who)) => self.handle_motion(who, motion, now),
             (PeerEvent::Delay(report), Some(who)) => self.note_report(who, report, now),
             (PeerEvent::Closed(reason), Some(who)) => self.handle_leave(who, &reason, now),
             // The session machine handles a second hello. Other events belong to unknown peers.
@@ -148,7 +169,7 @@ impl Room {
         }
     }
 
-    fn handle_request(&mut self, who: ParticipantId, request: Request) {
+    fn handle_request(&mut self, who: ParticipantId, request: Request, now: ServerTime) {
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
         };
@@ -164,7 +185,7 @@ impl Room {
             }
         }
         let result = match request.kind {
-            RequestKind::Cut(cut) => self.order_cut(who, request.id, cut),
+            RequestKind::Cut(cut) => self.order_cut(who, request.id, cut, now),
             RequestKind::TopologyReport { version, hash } => self.check_topology(version, hash),
             // The session machine turns a leave into a close.
             RequestKind::Leave => Ok(()),
@@ -180,35 +201,6 @@ impl Room {
             participant.requests.note_refusal(refused.clone());
         }
         self.refuse(who, refused);
-    }
-
-    fn order_cut(
-        &mut self,
-        who: ParticipantId,
-        request: RequestId,
-        cut: CutRequest,
-    ) -> Result<(), RequestRefusal> {
-        use palpate_protocol::tool::ToolKind;
-        let author = &self.participants[&who];
-        if author.tool.is_none_or(|t| t.kind != ToolKind::Scalpel) {
-            return Err(RequestRefusal::NotAllowed);
-        }
-        if author.demotion.is_demoted() {
-            return Err(RequestRefusal::Demoted);
-        }
-        if !self.log.takes_work() {
-            return Err(RequestRefusal::LogFull);
-        }
-        if self.cuts_in_preparation >= CUTS_IN_PREPARATION_MAX {
-            return Err(RequestRefusal::TooMany);
-        }
-        self.cuts_in_preparation += 1;
-        self.orders.push_back(TissueOrder::Cut(CutOrder {
-            author: who,
-            request,
-            cut,
-        }));
-        Ok(())
     }
 
     /// Handles a report of the tissue.
@@ -231,24 +223,8 @@ impl Room {
                 author,
                 request,
                 result,
-            } => {
-                self.cuts_in_preparation = self.cuts_in_preparation.saturating_sub(1);
-                match result {
-                    Ok(cut) => {
-                        let before = self.version();
-                        self.cuts += 1;
-                        self.hashes.push(cut.hash);
-                        let apply = TissueOrder::Apply {
-                            version: cut.version,
-                            at: now,
-                        };
-                        self.orders.push_back(apply);
-                        let kind = OperationKind::Cut(cut.stroke);
-                        self.append_between(author, kind, now, before);
-                    }
-                    Err(reason) => self.note_refusal(author, request, reason),
-                }
-            }
+                took,
+            } => self.handle_cut(author, request, result, took, now),
         }
     }
 
@@ -272,7 +248,7 @@ impl Room {
         }
     }
 
-    fn handle_motion(&mut self, who: ParticipantId, motion: &PeerMotion, now: ServerTime) {
+    fn handle_motion(&mut self, who: ParticipantId, mut motion: PeerMotion, now: ServerTime) {
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
         };
@@ -280,15 +256,23 @@ impl Room {
             return;
         };
         let age = participant.delay.handle_arrival(arrival);
+        participant.note_motion(motion.round_trip, now);
+        motion.samples.retain(|sample| {
+            let is_reached = participant.track.note(sample);
+            if !is_reached {
+                self.limits.count(Limit::Sample);
+            }
+            is_reached
+        });
         // Samples of a demoted participant are only measured, for its restoration.
-        if participant.demotion.is_demoted() {
+        if participant.demotion.is_demoted() || motion.samples.is_empty() {
             return;
         }
         for sample in &motion.samples {
             participant.timeline.insert(*sample);
         }
         self.start_if_due(now);
-        self.fan_out.push(who, motion, age);
+        self.fan_out.push(who, &motion, age);
         self.send_motion(now);
     }
 
@@ -318,6 +302,7 @@ impl Room {
             self.next_tick = self.next_tick + period;
         }
         self.remove_expired_seats(now);
+        self.log.compact(now);
         self.decide_demotions(now);
         self.change_delay(now);
         let hz = i64::from(self.config.tick_hz.max(1));
@@ -358,22 +343,25 @@ impl Room {
     }
 
     fn change_delay(&mut self, now: ServerTime) {
+        self.pass_reports();
         let playing = self
             .participants
             .values()
             .filter(|p| !p.demotion.is_demoted());
-        let own = playing.filter_map(|p| p.delay.report());
+        let own = playing.filter_map(Participant::explained_uplink);
         match own.max_by_key(|r: &DelayReport| r.wanted_us) {
             Some(worst) => self.group.handle_report(ParticipantId::SERVER, worst),
             // The requirement ends with the last participant that caused it.
             None => self.group.remove(ParticipantId::SERVER),
         }
-        if !self.log.takes_delay() {
+        if !self.log.takes_delay() || self.delay_changes.level(now) < 1.0 {
+            self.limits.count(Limit::DelayChange);
             return;
         }
         if let Some(change) = self.group.poll_change(now, self.group.lead()) {
             self.schedule
                 .handle_change(change.delay_us, change.effective_at);
+            self.delay_changes.charge(1.0, now);
             let kind = OperationKind::Compensation {
                 delay_us: change.delay_us,
                 effective_at: change.effective_at,
@@ -421,14 +409,19 @@ impl Room {
         self.participants.values().map(|seat| (seat.id, seat.token))
     }
 
-    /// The operations of the log from this number on, counted from 0.
-    pub fn operations_since(&self, first: usize) -> &[Arc<Operation>] {
+    /// The operations of the log from this number on.
+    pub fn operations_since(&self, first: OperationId) -> &[Arc<Operation>] {
         self.log.since(first)
     }
 
-    /// Number of operations in the log.
+    /// Number of operations so far.
     pub fn operation_count(&self) -> usize {
-        self.log.len()
+        usize::try_from(self.log.next().0).unwrap_or(usize::MAX)
+    }
+
+    /// How often each limit took effect.
+    pub fn limits(&self) -> &LimitCounters {
+        &self.limits
     }
 
     /// Number of cuts.
@@ -480,15 +473,16 @@ impl Room {
         self.append_between(author, kind, now, version);
     }
 
+    /// Appends an operation. Returns the log space that it uses if it is a cut, bytes.
     fn append_between(
         &mut self,
         author: ParticipantId,
         kind: OperationKind,
         now: ServerTime,
         version_before: u32,
-    ) {
+    ) -> u64 {
         let operation = Arc::new(Operation {
-            id: OperationId(self.log.len() as u64),
+            id: self.log.next(),
             at: now,
             author,
             topology_version_before: version_before,
@@ -496,11 +490,12 @@ impl Room {
             hash_after: self.hash(),
             kind,
         });
-        self.log.push(Arc::clone(&operation));
+        let bytes = self.log.push(Arc::clone(&operation));
         let peers: Vec<PeerKey> = self.by_peer.keys().copied().collect();
         for peer in peers {
             self.send(peer, PeerMessage::Operation(Arc::clone(&operation)));
         }
+        bytes
     }
 
     fn send(&mut self, peer: PeerKey, message: PeerMessage) {

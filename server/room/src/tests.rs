@@ -20,6 +20,7 @@ use palpate_tissue::{Material, Model, block};
 use crate::{Output, PeerKey, RoomConfig, SimulatedRoom};
 
 mod demotion;
+mod fairness;
 mod motion;
 mod seats;
 mod stalls;
@@ -57,6 +58,7 @@ fn config(seats: u16, start_when_tools: u16, mode: CompensationMode) -> RoomConf
         },
         grants: vec![(Role::Trainee, TRAINEE), (Role::Spectator, SPECTATOR)],
         seats,
+        spectators: seats,
         tick_hz: 50,
         compensation: CompensationSettings {
             mode,
@@ -74,7 +76,7 @@ fn hello(name: &str, role: Role, kind: ToolKind) -> PeerEvent {
         TRAINEE
     };
     let tool = role.has_tool().then_some(match kind {
-        ToolKind::Scalpel => ToolDescription::scalpel(0.008, 0.02),
+        ToolKind::Scalpel => ToolDescription::scalpel(0.008, 0.03),
         _ => ToolDescription::probe(0.008),
     });
     PeerEvent::Hello(Hello {
@@ -110,19 +112,44 @@ fn refusal(outputs: &[Output]) -> Option<RefusalReason> {
     })
 }
 
+/// The blade of [`stroke`] at `t` ms, from 0 to [`STROKE_MS`].
+fn blade_at(t: i64) -> [f64; 3] {
+    [0.004 + 0.4e-3 * t as f64, 0.0241, 0.018]
+}
+
+const STROKE_MS: i64 = 90;
+
 fn stroke() -> RequestKind {
-    let point = |i: u32| TimedBladePoint {
-        time: ms(100 + i64::from(i)),
+    let point = |i: i64| TimedBladePoint {
+        time: ms(10 * i),
         blade: BladePoint {
-            tip_m: [0.004 + 0.004 * f64::from(i), 0.0241, 0.018],
+            tip_m: blade_at(10 * i),
             axis: [0.0, 0.0, 1.0],
             depth_m: 0.03,
         },
     };
     RequestKind::Cut(CutRequest {
-        points: (0..10).map(point).collect(),
+        points: (0..=STROKE_MS / 10).map(point).collect(),
         width_m: 0.0,
     })
+}
+
+/// The motion of [`stroke`], so much higher.
+fn drawing(above_m: f64) -> PeerEvent {
+    let sample = |t: i64| {
+        let [x, y, z] = blade_at(t);
+        ToolSample {
+            time: ms(t),
+            pose: Pose {
+                position_m: [x, y, z + above_m],
+                ..Pose::IDENTITY
+            },
+            buttons: 1,
+            force_n: None,
+        }
+    };
+    let samples = (0..=STROKE_MS).map(sample).collect();
+    PeerEvent::Motion(PeerMotion::on_time(samples, ms(STROKE_MS)))
 }
 
 #[test]
@@ -172,7 +199,7 @@ fn wrong_grant_duplicate_name_and_full_session_are_refused() {
     );
     assert!(matches!(
         refusal(&drain(&mut room)),
-        Some(RefusalReason::Full { seats: 3 })
+        Some(RefusalReason::Full { seats: 3, .. })
     ));
     assert_eq!((room.participant_count(), room.refused_count()), (3, 3));
 }
@@ -227,6 +254,7 @@ fn all_clients_receive_equal_operations_in_order_including_late_ones() {
         hello("bob", Role::Spectator, ToolKind::Probe),
         ms(1),
     );
+    room.handle_event(PeerKey(1), drawing(0.0), ms(STROKE_MS));
     let (before, hash_before) = room.topology();
     let request = Request {
         id: RequestId(0),
@@ -287,6 +315,7 @@ fn probe_may_not_cut_and_a_stroke_through_air_cuts_nothing() {
     assert_eq!(refused(&drain(&mut room)), Some(RequestRefusal::NotAllowed));
     let bob = hello("bob", Role::Trainee, ToolKind::Scalpel);
     room.handle_event(PeerKey(2), bob, ms(210));
+    room.handle_event(PeerKey(2), drawing(0.5), ms(210));
     drain(&mut room);
     let RequestKind::Cut(mut air) = stroke() else {
         unreachable!()

@@ -1,12 +1,14 @@
-//! Announcements of joins, leaves, cuts and demotions: one line each on standard error.
+//! Announcements on standard error: one line per join, leave, cut and demotion, and a limited rate of lines about
+//! limits that took effect.
 
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, sync_channel};
 
-use palpate_protocol::ParticipantId;
 use palpate_protocol::operation::{LeaveReason, Operation, OperationKind};
+use palpate_protocol::{OperationId, ParticipantId, ServerTime, Span};
+use palpate_room::{Limit, LimitCounters};
 
 /// Maximum waiting lines; further ones are dropped, because a full pipe has no reader.
 const WAITING_MAX: usize = 256;
@@ -70,11 +72,37 @@ impl Names {
     }
 }
 
+/// Least time between two lines about one limit.
+const LIMIT_PERIOD: Span = Span::from_millis(5000);
+
+/// Rate-limited lines about limits.
+#[derive(Debug, Default)]
+struct LimitLines {
+    /// By limit: the count of the last line, and the earliest time of the next one.
+    announced: [(u64, ServerTime); Limit::ALL.len()],
+}
+
+impl LimitLines {
+    /// The lines that are due.
+    fn due(&mut self, counters: &LimitCounters, now: ServerTime) -> Vec<String> {
+        let mut lines = Vec::new();
+        for (limit, (announced, next)) in Limit::ALL.into_iter().zip(&mut self.announced) {
+            let count = counters.of(limit);
+            if count > *announced && now >= *next {
+                lines.push(format!("{} {limit}", count - *announced));
+                (*announced, *next) = (count, now + LIMIT_PERIOD);
+            }
+        }
+        lines
+    }
+}
+
 /// Announces new operations. Its own thread prints, so that a blocked terminal does not stop the session.
 #[derive(Debug)]
 pub(super) struct Announcements {
     names: Names,
-    announced: usize,
+    next: OperationId,
+    limits: LimitLines,
     lines: SyncSender<String>,
 }
 
@@ -93,20 +121,28 @@ impl Announcements {
             });
         Self {
             names: Names::default(),
-            announced: 0,
+            next: OperationId(0),
+            limits: LimitLines::default(),
             lines,
         }
     }
 
-    /// Number of operations that were handled.
-    pub(super) fn announced(&self) -> usize {
-        self.announced
+    /// The next operation to announce.
+    pub(super) fn next(&self) -> OperationId {
+        self.next
+    }
+
+    /// Announces limits that took effect, at most one line per limit and [`LIMIT_PERIOD`].
+    pub(super) fn announce_limits(&mut self, counters: &LimitCounters, now: ServerTime) {
+        for line in self.limits.due(counters, now) {
+            let _ = self.lines.try_send(line);
+        }
     }
 
     /// Announces the next operations.
     pub(super) fn announce(&mut self, operations: &[Arc<Operation>]) {
         for operation in operations {
-            self.announced += 1;
+            self.next = operation.id.next();
             if let Some(line) = self.names.sentence(operation) {
                 let _ = self.lines.try_send(line);
             }
@@ -116,7 +152,7 @@ impl Announcements {
 
 #[cfg(test)]
 mod tests {
-    use palpate_protocol::{OperationId, Role, ServerTime, TopologyHash};
+    use palpate_protocol::{Role, TopologyHash};
 
     use super::*;
 

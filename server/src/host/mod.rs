@@ -55,6 +55,7 @@ pub(crate) fn host(options: &HostOptions) -> Result<(), ServerError> {
         model: info,
         grants: grants.clone(),
         seats: options.seats,
+        spectators: options.spectators(),
         tick_hz: options.tick_hz,
         compensation,
         fresh_token: |_| ResumeToken(rand::random()),

@@ -47,9 +47,12 @@ pub(crate) struct HostOptions {
     /// Maximum adaptive delay in ms (uplink plus downlink)
     #[arg(long, default_value_t = 400, value_name = "MS")]
     pub(super) delay_cap: u32,
-    /// Seats in the session, including spectators: 1 to 64
+    /// Seats in the session, including spectators: 1 to 64; of more than two, one is for an instructor
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=i64::from(SEATS_MAX)))]
     pub(super) seats: u16,
+    /// Seats that spectators and recorders may take together [default: half of the seats]
+    #[arg(long, value_name = "M")]
+    spectators: Option<u16>,
     /// Start scripts of clients with `--at session` once N tools have joined
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub(super) start_when: u16,
@@ -62,6 +65,17 @@ pub(crate) struct HostOptions {
 }
 
 impl HostOptions {
+    /// Seats that spectators and recorders may take together.
+    pub(super) fn spectators(&self) -> u16 {
+        let half = if self.seats > 2 {
+            self.seats / 2
+        } else {
+            // Two trainees or one of each.
+            self.seats - 1
+        };
+        self.spectators.unwrap_or(half)
+    }
+
     /// Checks the options that depend on one another. Returns the time compensation.
     pub(super) fn check(&self) -> Result<CompensationSettings, ServerError> {
         let bad = |sentence: String| Err(ServerError::CommandLine(sentence));
@@ -73,6 +87,13 @@ impl HostOptions {
         }
         if self.duration.is_some_and(|s| !(s.is_finite() && s > 0.0)) {
             return bad("--duration must be a number of seconds above 0".into());
+        }
+        if self.spectators() > self.seats {
+            return bad(format!(
+                "--spectators {} is more than there are seats ({})",
+                self.spectators(),
+                self.seats
+            ));
         }
         if self.start_when > self.seats {
             return bad(format!(

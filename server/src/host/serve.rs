@@ -20,7 +20,7 @@ use tracing::Instrument as _;
 
 use super::announcements::Announcements;
 use super::options::HostOptions;
-use super::summary::{HostSummary, Refused, TickTimes};
+use super::summary::{HostSummary, Refused, TickTimes, limits};
 use super::tissue::{Answer, TissueThreads};
 use super::tokens::SeatTokens;
 use crate::ServerError;
@@ -239,8 +239,10 @@ impl Session {
             }
             self.publish_seats();
             self.deliver();
-            let new = self.room.operations_since(self.announcements.announced());
+            let new = self.room.operations_since(self.announcements.next());
             self.announcements.announce(new);
+            let now = server_time(self.began);
+            self.announcements.announce_limits(self.room.limits(), now);
         }
     }
 
@@ -361,6 +363,7 @@ impl Session {
             compensation_ms: self.room.delay_at(server_time(self.began)).as_millis_f64(),
             datagrams_skipped: self.skipped + alive,
             demotions: self.room.demotion_count(),
+            limits: limits(self.room.limits()),
             refused,
             seconds: self.began.elapsed().as_secs_f64(),
             ended,

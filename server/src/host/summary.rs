@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::net::SocketAddr;
 
+use palpate_room::{Limit, LimitCounters};
 use palpate_transport::DriverStats;
 use palpate_transport::threads::CpuUsage;
 use serde::{Deserialize, Serialize};
@@ -75,6 +76,9 @@ pub struct HostSummary {
     pub demotions: u64,
     /// Refused joins and rejected datagrams.
     pub refused: Refused,
+    /// How often each limit of the room took effect, by name; omitted where it never did.
+    #[serde(default)]
+    pub limits: BTreeMap<String, u64>,
     /// Length of the session in s.
     pub seconds: f64,
     /// Reason for the end.
@@ -135,6 +139,12 @@ pub struct TickTimes {
     pub max: f64,
 }
 
+/// The counters of the limits that took effect, by name.
+pub(super) fn limits(counters: &LimitCounters) -> BTreeMap<String, u64> {
+    let counts = Limit::ALL.map(|limit| (limit.word().to_owned(), counters.of(limit)));
+    counts.into_iter().filter(|(_, n)| *n > 0).collect()
+}
+
 /// Prints address and join links.
 pub(super) fn announce(json: bool, listening: &Listening) -> Result<(), ServerError> {
     if json {
@@ -158,9 +168,15 @@ pub(super) fn finish(json: bool, s: &HostSummary) -> Result<(), ServerError> {
     if json {
         return print_result(&serde_json::json!(s).to_string());
     }
+    let limits: Vec<String> = s.limits.iter().map(|(l, n)| format!("{l} {n}")).collect();
+    let limits = if limits.is_empty() {
+        String::new()
+    } else {
+        format!("; limits: {}", limits.join(", "))
+    };
     print_result(&format!(
         "{} after {:.1} s: {} participants, {} operations with {} cuts; {} ticks of \
-         {:.1} ms (p99 {:.1}, period {:.1}); topology {} (version {}), {} piece(s); {}",
+         {:.1} ms (p99 {:.1}, period {:.1}); topology {} (version {}), {} piece(s); {}{limits}",
         s.ended,
         s.seconds,
         s.participants,

@@ -153,8 +153,11 @@ fn cut_all(
     answer: &async_mpsc::UnboundedSender<Answer>,
 ) -> Cutter {
     for job in jobs {
-        let began_ns = threads::monotonic_ns();
-        let (report, cut) = cutter.make(&job);
+        let (began_ns, worked_ns) = (threads::monotonic_ns(), threads::worked_ns());
+        let (mut report, cut) = cutter.make(&job);
+        if let TissueReport::Cut { took, .. } = &mut report {
+            *took = Span::from_micros((threads::worked_ns() - worked_ns) / 1000);
+        }
         // Sent before the report to the room, so that the cut is present when it takes effect.
         if let Some(cut) = cut {
             let _ = prepared.send(Work::Prepared(Box::new(cut)));

@@ -88,10 +88,10 @@ impl Motion {
     }
 }
 
-pub(crate) fn hello(seat: usize, grant: Grant) -> Hello {
+pub(crate) fn hello(seat: usize, role: Role, grant: Grant) -> Hello {
     Hello {
         name: format!("member-{}", seat + 1),
-        role: Role::Trainee,
+        role,
         grant,
         tool: Some(ToolDescription::probe(RADIUS_M)),
         resume: None,
@@ -109,7 +109,7 @@ pub(super) struct Member {
 impl Member {
     pub(super) fn new(seat: usize, motion: Motion, clock: SiteClock) -> Result<Self, String> {
         Ok(Self {
-            endpoint: Endpoint::new(seat, hello(seat, GRANT), clock)?,
+            endpoint: Endpoint::new(seat, hello(seat, Role::Trainee, GRANT), clock)?,
             motion,
             is_in: false,
         })

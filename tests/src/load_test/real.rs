@@ -92,18 +92,21 @@ impl Real<'_> {
         let listening: Listening = server
             .json("listen", LISTEN_WITHIN)
             .map_err(|e| e.to_string())?;
-        let link = listening.links.get("trainee");
-        let link: JoinLink = link
-            .ok_or("the server printed no trainee link")?
-            .parse()
-            .map_err(|e| format!("the server printed an invalid trainee link: {e}"))?;
+        let link = |role: &str| -> Result<JoinLink, String> {
+            let link = listening.links.get(role);
+            link.ok_or_else(|| format!("the server printed no {role} link"))?
+                .parse()
+                .map_err(|e| format!("the server printed an invalid {role} link: {e}"))
+        };
+        // One of more than two seats is for an instructor.
+        let links = [link("instructor")?, link("trainee")?];
         let motions = motions(self.model, self.participants, self.seed)?;
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
             .build()
             .map_err(|e| format!("cannot start the participants' runtime: {e}"))?;
-        let counted = runtime.block_on(self.live(&link, motions, server.id()))?;
+        let counted = runtime.block_on(self.live(&links, motions, server.id()))?;
         let memory_mb = Memory::of(server.id()).map(|m| m.peak_mb);
         server.ask_to_end();
         server
@@ -117,15 +120,16 @@ impl Real<'_> {
 
     async fn live(
         &self,
-        link: &JoinLink,
+        links: &[JoinLink; 2],
         motions: Vec<Motion>,
         server: u32,
     ) -> Result<Counted, String> {
         let mut members = Vec::new();
         for (seat, motion) in motions.into_iter().enumerate() {
+            let link = &links[usize::from(seat > 0)];
             members.push((come_in(link, seat).await?, motion));
         }
-        let Err(one_more) = come_in(link, self.participants).await else {
+        let Err(one_more) = come_in(&links[1], self.participants).await else {
             return Err(
                 "the server accepted a participant although all seats were taken".to_owned(),
             );
@@ -212,7 +216,7 @@ fn bytes(members: &[(ClientHandle, Motion)]) -> [u64; 2] {
 
 async fn come_in(link: &JoinLink, seat: usize) -> Result<ClientHandle, String> {
     let connection = connect(link).await.map_err(|e| e.to_string())?;
-    let session = ClientSession::new(hello(seat, link.grant), monotonic_now());
+    let session = ClientSession::new(hello(seat, link.role, link.grant), monotonic_now());
     let session = session.map_err(|e| e.to_string())?;
     let mut handle = spawn_client(connection, session, monotonic_now);
     let welcomed = async {

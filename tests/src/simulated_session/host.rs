@@ -12,7 +12,7 @@ use palpate_client::realtime::worked;
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::session::{PeerDatagram, PeerEvent, Picture, ServerPeer};
 use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role, ServerTime, Span};
-use palpate_room::{Output, PeerKey, RoomConfig, SimulatedRoom};
+use palpate_room::{LimitCounters, Output, PeerKey, RoomConfig, SimulatedRoom};
 use palpate_tissue::Model;
 
 use super::links::{Arrived, Links};
@@ -57,6 +57,7 @@ pub(crate) fn room_config(
         },
         grants: vec![(Role::Trainee, GRANT), (Role::Spectator, GRANT)],
         seats: u16::try_from(seats).unwrap_or(u16::MAX),
+        spectators: u16::try_from(seats).unwrap_or(u16::MAX),
         tick_hz,
         compensation,
         start_when_tools: u16::try_from(start_when_tools).unwrap_or(u16::MAX),
@@ -235,6 +236,10 @@ impl Host {
 
     pub(crate) fn into_rounds(self) -> Vec<Round> {
         self.rounds
+    }
+
+    pub(super) fn limits(&self) -> LimitCounters {
+        *self.room.limits()
     }
 
     /// Bytes sent to a thin spectator so far, including protocol overhead.

@@ -35,6 +35,7 @@ use std::sync::Arc;
 use palpate_client::Recording;
 use palpate_device::Script;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+use palpate_room::LimitCounters;
 use palpate_site::SiteCounters;
 use palpate_tissue::Model;
 use serde::Serialize;
@@ -95,6 +96,8 @@ pub struct SessionResult {
     pub topologies: Vec<(u32, u64)>,
     pub counters: Vec<SiteCounters>,
     pub demotions: u64,
+    /// How often each limit of the room took effect.
+    pub limits: LimitCounters,
     /// Mean over the trainees, from the start of the scripts.
     pub bytes_per_s: BytesPerSecond,
     /// Every packet from the start of the scripts.
@@ -194,6 +197,7 @@ impl SimulatedSession<'_> {
             topologies,
             counters: trainees.iter().map(Trainee::counters).collect(),
             demotions: host.room.demotion_count(),
+            limits: host.limits(),
             recordings: trainees.into_iter().map(|t| t.recording).collect(),
             bytes_per_s: BytesPerSecond {
                 up: links.bytes_sent(Direction::Up, trainee_count) as f64 * share,

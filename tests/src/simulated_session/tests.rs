@@ -5,7 +5,7 @@ use palpate_tissue::{Material, Topology, block};
 use super::*;
 use crate::disagreement::Disagreement;
 use crate::force_error::{ForceError, over_script};
-use crate::network::{Link, Step, Steps};
+use crate::network::{Link, Outage, Outages, Step, Steps};
 use crate::reference;
 use crate::scripts::Scripts;
 use crate::tool_location::ToolLocation;
@@ -36,9 +36,20 @@ fn simulate_with(
     session_faults: &[SessionFault],
 ) -> SessionResult {
     let scripts = [&scripts.holder, &scripts.cutter];
-    let session = SimulatedSession {
+    let session = session(model, &scripts, profile, seed, cap_ms);
+    session.run_with(session_faults, |_| true).unwrap()
+}
+
+fn session<'a>(
+    model: &'a Arc<Model>,
+    scripts: &'a [&'a Script],
+    profile: &'a Profile,
+    seed: u64,
+    cap_ms: u32,
+) -> SimulatedSession<'a> {
+    SimulatedSession {
         model,
-        scripts: &scripts,
+        scripts,
         motion_only: false,
         thin_spectator_count: 1,
         profile,
@@ -50,8 +61,7 @@ fn simulate_with(
             initial_delay_us: 100_000,
         },
         tick_hz: 60,
-    };
-    session.run_with(session_faults, |_| true).unwrap()
+    }
 }
 
 #[test]
@@ -232,4 +242,61 @@ fn diverged_shape_causes_a_limited_number_of_resyncs() {
     assert_eq!(for_ever.troubles, Vec::<String>::new());
     let resyncs = for_ever.counters[1].resyncs as usize;
     assert!((1..=RESYNCS_MAX).contains(&resyncs), "{resyncs}");
+}
+
+#[test]
+fn honest_stroke_is_cut_over_a_lossy_path_with_an_outage_during_the_stroke() {
+    let model = model();
+    let scripts = scripts_of(&model, 8.0);
+    // The stroke lasts 1.3 s, from about 4 s on; the outages also cover shifts of the start.
+    for from_s in [3.6, 4.3, 5.0] {
+        let outage = Outage {
+            from_s,
+            to_s: from_s + 1.0,
+        };
+        let lossy = Profile::both(
+            "lossy with an outage",
+            Link {
+                delay_ms: 40.0,
+                loss: 0.05,
+                outages: Some(Outages {
+                    repeat_s: None,
+                    times: vec![outage],
+                }),
+                ..Link::default()
+            },
+        );
+        let r = simulate_with(&model, &scripts, &lossy, 3, 400, &[]);
+        assert_eq!(r.troubles, Vec::<String>::new(), "{from_s}");
+        assert_eq!(r.counters[1].cuts_refused, 0, "{from_s}");
+        assert!(r.hashes_equal(), "{:?}", r.topologies);
+        assert_eq!(r.topologies[0].0, 1, "{from_s}");
+    }
+}
+
+#[test]
+fn no_limit_takes_effect_in_honest_sessions() {
+    let model = model();
+    let scripts = scripts_of(&model, 12.0);
+    for name in [
+        "lan",
+        "metro",
+        "transatlantic",
+        "wifi-bursts",
+        "lte",
+        "lossy",
+        "bursts",
+        "far-steps",
+    ] {
+        let profile = Profile::named(name).unwrap();
+        let hands = [&scripts.holder, &scripts.cutter];
+        let session = SimulatedSession {
+            motion_only: true,
+            ..session(&model, &hands, &profile, 3, 500)
+        };
+        let r = session.run(|_| true).unwrap();
+        assert_eq!(r.troubles, Vec::<String>::new(), "{name}");
+        assert_eq!(r.topologies[0].0, 1, "{name}");
+        assert_eq!(r.limits, LimitCounters::default(), "{name}");
+    }
 }

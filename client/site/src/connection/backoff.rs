@@ -9,7 +9,6 @@
 
 use std::fmt;
 
-use palpate_protocol::handshake::RefusalReason;
 use palpate_protocol::{ClientTime, Span};
 
 /// First wait of a client that the server refused for load, without jitter.
@@ -62,11 +61,6 @@ impl Backoff {
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         ((z ^ (z >> 31)) >> 32) as u32
     }
-}
-
-/// Whether a later attempt may succeed although the server refused this one.
-pub fn is_temporary(reason: &RefusalReason) -> bool {
-    matches!(reason, RefusalReason::Full { .. })
 }
 
 /// A failed attempt after which another one follows, for the status line.

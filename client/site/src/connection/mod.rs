@@ -4,5 +4,5 @@ mod backoff;
 mod reconnector;
 mod requests;
 
-pub use backoff::{BUSY_WAIT_FIRST, Backoff, Retry, is_temporary};
+pub use backoff::{BUSY_WAIT_FIRST, Backoff, Retry};
 pub use reconnector::{Action, ConnectionStatus, Farewell, Reconnector};

@@ -24,7 +24,7 @@ use palpate_protocol::{
     ClientTime, Epoch, OperationId, ParticipantId, RequestId, Span, TopologyHash,
 };
 
-use super::backoff::{Backoff, Retry, is_temporary};
+use super::backoff::{Backoff, Retry};
 use super::requests::{Requests, is_felt};
 
 /// Time after the session's `LinkLost` before the client reconnects. The server has then also dropped the connection.
@@ -378,7 +378,7 @@ impl Reconnector {
             return;
         }
         let can_join_again = !self.is_seat_gone && !self.hello.role.has_tool();
-        if is_temporary(&refused.reason) {
+        if refused.reason.is_temporary() {
             self.fail(refused.sentence, true, now);
         } else if refused.reason == RefusalReason::NoSuchSeat && can_join_again {
             self.is_seat_gone = true;

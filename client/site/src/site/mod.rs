@@ -149,6 +149,8 @@ pub struct Site {
     resync_state: ResyncState,
     /// Reason of a resync that the connection has not yet received.
     resync_reason: Option<String>,
+    /// The number after that of the last operation received.
+    next_operation: u64,
     /// The first operation that is not recorded yet.
     unrecorded: u64,
     counters: SiteCounters,
@@ -188,6 +190,7 @@ impl Site {
             resync_policy: ResyncPolicy::default(),
             resync_state: ResyncState::Idle,
             resync_reason: None,
+            next_operation: 0,
             unrecorded: 0,
             counters: SiteCounters::default(),
         }
@@ -252,6 +255,7 @@ impl Site {
     }
 
     fn handle_operation(&mut self, operation: Operation, now: ClientTime) -> Result<(), SiteError> {
+        self.next_operation = operation.id.0 + 1;
         match &operation.kind {
             OperationKind::Compensation {
                 delay_us,

@@ -127,8 +127,9 @@ impl Site {
         welcome: &Welcome,
         now: ClientTime,
     ) -> Result<(), SiteError> {
+        // A seat without a tool may have been given away; its client then continues as a new participant.
         self.me = welcome.participant;
-        let had = self.counters.operations + self.deferred.len() as u64;
+        let had = self.next_operation;
         let first = welcome.first_operation;
         if first.0 == 0 && (had > 0 || self.resync_state == ResyncState::Asked) {
             self.begin_resync(welcome, now);
@@ -137,7 +138,7 @@ impl Site {
             return Ok(());
         } else if first.0 != had {
             return Err(SiteError::Differs(format!(
-                "the client has {had} operations of the log, but the server resumes at {first}"
+                "the client has the log up to operation {had}, but the server resumes at {first}"
             )));
         } else if self.expected.is_some() {
             self.expected = Some((welcome.topology_version, welcome.topology_hash));
@@ -158,6 +159,7 @@ impl Site {
         self.started = welcome.session_started_at;
         (self.first_view, self.extrapolated) = (None, None);
         self.deferred = VecDeque::new();
+        self.next_operation = 0;
         self.is_detached = false;
         self.unreported = None;
         self.cuts = Cuts::default();

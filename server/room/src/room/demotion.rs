@@ -1,5 +1,8 @@
 //! Demotion to spectator: a participant with a slow network does not raise the playout delay of the group.
 //!
+//! A participant can shorten or lengthen only its own path by false reports or sample times: the requirement of a pair
+//! counts for the longer round trip, and the playout delay follows reports only as far as measured paths explain them.
+//!
 //! A delay report of x covers the path from every other participant to x, so it includes their uplinks. The
 //! server therefore separates uplink and downlink. The requirement of a pair counts for the participant with the
 //! longer round trip (our own rule):
@@ -24,6 +27,7 @@ use palpate_protocol::request::DelayReport;
 use palpate_protocol::{ParticipantId, ServerTime, Span};
 
 use super::Room;
+use crate::limits::Limit;
 use crate::participant::Participant;
 
 /// Time between two decisions: the period of delay reports.
@@ -74,15 +78,46 @@ fn wanted_now(report: &DelayReport, of: &Participant) -> i64 {
 }
 
 impl Room {
-    /// Handles a delay report of a client.
+    /// Handles a delay report of a client. Only those of participants with a tool count.
     pub(super) fn note_report(&mut self, who: ParticipantId, report: DelayReport, now: ServerTime) {
-        let Some(participant) = self.participants.get_mut(&who) else {
+        let longest = self.longest_uplink_beside(who);
+        let seat = self.participants.get_mut(&who);
+        let Some(participant) = seat.filter(|p| p.tool.is_some()) else {
             return;
         };
-        participant.report = Some((now, report));
-        if !participant.demotion.is_demoted() && now >= self.reports_count_from {
-            self.group.handle_report(who, report);
+        if let Some((_, before)) = participant.report.replace((now, report))
+            && participant.explained(before, longest) != Some(before)
+        {
+            self.limits.count(Limit::DelayReport);
         }
+    }
+
+    /// Passes the reports on to the group, as far as the measured paths explain them by now: the longest uplink of the
+    /// other participants and the own round trip. A report of a slower path may arrive before its measurement.
+    pub(super) fn pass_reports(&mut self) {
+        let active = self.participants.values().filter(|p| {
+            !p.demotion.is_demoted()
+                && p.report
+                    .is_some_and(|(at, _)| at >= self.reports_count_from)
+        });
+        for participant in active {
+            let longest = self.longest_uplink_beside(participant.id);
+            let report = participant.report.map(|(_, report)| report);
+            if let Some(explained) = report.and_then(|r| participant.explained(r, longest)) {
+                self.group.handle_report(participant.id, explained);
+            }
+        }
+    }
+
+    /// The longest explained uplink of the other active participants.
+    fn longest_uplink_beside(&self, who: ParticipantId) -> Span {
+        let others = self
+            .participants
+            .values()
+            .filter(|p| p.id != who && !p.demotion.is_demoted());
+        let uplinks = others.filter_map(Participant::explained_uplink);
+        let us = uplinks.map(|r| r.wanted_us).max().unwrap_or(0);
+        Span::from_micros(i64::from(us))
     }
 
     /// Demotes and restores participants.
@@ -105,10 +140,6 @@ impl Room {
             let Some(participant) = self.participants.get_mut(&path.who) else {
                 continue;
             };
-            // A full log takes no demotion, but still restores demoted participants.
-            if !participant.demotion.is_demoted() && !self.log.takes_work() {
-                continue;
-            }
             let requirement = Span::from_micros(path.requirement(&path_delays));
             match participant.demotion.handle_wanted(requirement, now) {
                 Some(DemotionDecision::Demote { wanted, cap }) => {
@@ -133,9 +164,10 @@ impl Room {
         }
     }
 
-    /// Uplinks and downlinks of the connected participants.
+    /// Uplinks and downlinks of the connected participants with a tool.
     fn path_delays(&mut self) -> Vec<PathDelay> {
-        let here = || self.participants.values().filter(|p| p.peer().is_some());
+        let is_active = |p: &&Participant| p.peer().is_some() && p.tool.is_some();
+        let here = || self.participants.values().filter(is_active);
         let uplink = |p: &Participant| p.delay.report().map(|r| wanted_now(&r, p));
         let mut path_delays = Vec::new();
         for p in here() {

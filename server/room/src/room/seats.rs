@@ -1,35 +1,48 @@
 //! Seats: admission, retention after a lost connection, and resumption.
 
 use palpate_protocol::handshake::{
-    Hello, RefusalReason, Refused, Resume, SEAT_RETENTION, Subscription, Welcome,
+    Hello, RefusalReason, Refused, Resume, RosterEntry, SEAT_RETENTION, Subscription, Welcome,
 };
+use palpate_protocol::name::Appearance;
 use palpate_protocol::operation::{CompensationSettings, LeaveReason, OperationKind};
 use palpate_protocol::session::{CloseReason, PeerMessage};
 use palpate_protocol::tool::ToolDescription;
-use palpate_protocol::{OperationId, ParticipantId, ProtocolError, ServerTime};
+use palpate_protocol::{OperationId, ParticipantId, ProtocolError, Role, ServerTime};
 
 use super::Room;
 use crate::PeerKey;
-use crate::config::SEATS_MAX;
+use crate::cut_budget::CutBudget;
+use crate::joins::RoleClass;
+use crate::limits::Limit;
 use crate::participant::{Participant, Presence};
-
-/// Maximum resumptions of a seat. Each adds two operations to the log, which every new client receives. A connection
-/// that breaks once a minute lasts for more than an hour and a half.
-const RESUMES_MAX: u16 = 100;
 
 impl Room {
     pub(super) fn handle_hello(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
+        self.remove_expired_seats(now);
         let result = match hello.resume {
-            Some(resume) => self
+            Some(resume) if self.is_resumed(&hello, &resume) => self
                 .check_resumption(&hello, &resume, now)
                 .map(|()| self.resume_seat(peer, &hello, &resume, now)),
-            None => self.admit(&hello).map(|()| self.seat(peer, hello, now)),
+            _ => self
+                .admit(&hello, now)
+                .map(|()| self.seat(peer, hello, now)),
         };
         if let Err(reason) = result {
             self.refused += 1;
+            self.limits.count(match reason {
+                RefusalReason::Full { .. } => Limit::Full,
+                RefusalReason::Busy => Limit::Busy,
+                _ => Limit::JoinRefused,
+            });
             let sentence = self.sentence(&reason, now);
             self.send(peer, PeerMessage::Refused(Refused { reason, sentence }));
         }
+    }
+
+    /// Whether a hello with a seat resumes it. If the seat of a role without a tool has been given away, its client joins
+    /// again: it has nothing to lose but the seat.
+    fn is_resumed(&self, hello: &Hello, resume: &Resume) -> bool {
+        hello.role.has_tool() || self.participants.contains_key(&resume.participant)
     }
 
     /// The text of a refusal. For a name with a kept seat it includes the remaining time.
@@ -40,10 +53,7 @@ impl Room {
         let mut seats = self.participants.values();
         let until = seats
             .find(|p| p.name == *name)
-            .and_then(|p| match p.presence {
-                Presence::Disconnected { until } => Some(until),
-                Presence::Connected(_) => None,
-            });
+            .and_then(Participant::kept_until);
         until.map_or_else(
             || reason.to_string(),
             |until| {
@@ -56,34 +66,86 @@ impl Room {
         )
     }
 
-    fn admit(&self, hello: &Hello) -> Result<(), RefusalReason> {
+    /// Admits a newcomer, or refuses it. Kept seats of participants who hardly took part give way.
+    fn admit(&mut self, hello: &Hello, now: ServerTime) -> Result<(), RefusalReason> {
         let role = hello.role;
-        let seats = self.config.seats.min(SEATS_MAX);
         if !self.is_granted(hello) {
-            Err(RefusalReason::BadGrant { role })
-        } else if !self.log.takes_seat() {
-            Err(RefusalReason::LogFull)
-        } else if self.participants.len() >= usize::from(seats) || self.next_participant == u16::MAX
-        {
-            Err(RefusalReason::Full { seats })
-        } else if self.participants.values().any(|p| p.name == hello.name) {
-            // A kept seat keeps its name.
-            Err(RefusalReason::NameTaken {
-                name: hello.name.clone(),
-            })
-        } else if role.has_tool() && !hello.tool.as_ref().is_some_and(ToolDescription::is_valid) {
-            Err(RefusalReason::BadTool { role })
-        } else if role.has_tool() && hello.subscription == Subscription::Thin {
-            Err(RefusalReason::ThinTool { role })
-        } else {
-            Ok(())
+            return Err(RefusalReason::BadGrant { role });
         }
+        if role.has_tool() && !hello.tool.as_ref().is_some_and(ToolDescription::is_valid) {
+            return Err(RefusalReason::BadTool { role });
+        }
+        if role.has_tool() && hello.subscription == Subscription::Thin {
+            return Err(RefusalReason::ThinTool { role });
+        }
+        let mut leaving = self.freed_by_name(hello, now)?;
+        self.free_seats(role, &mut leaving, now)?;
+        if !self.log.takes_seat() || !self.joins.take(RoleClass::of(role), now) {
+            return Err(RefusalReason::Busy);
+        }
+        for who in leaving {
+            self.limits.count(Limit::SeatReused);
+            self.remove_seat(who, LeaveReason::Silent, now);
+        }
+        Ok(())
+    }
+
+    /// The kept seats that give way to a name.
+    fn freed_by_name(
+        &self,
+        hello: &Hello,
+        now: ServerTime,
+    ) -> Result<Vec<ParticipantId>, RefusalReason> {
+        let wanted = Appearance::of(&hello.name);
+        let alike = self
+            .participants
+            .values()
+            .filter(|p| p.appearance.is_like(&wanted));
+        let mut leaving = Vec::new();
+        for other in alike {
+            if !other.gives_way(now) {
+                // A kept seat keeps its name.
+                let name = other.name.clone();
+                return Err(RefusalReason::NameTaken { name });
+            }
+            leaving.push(other.id);
+        }
+        Ok(leaving)
+    }
+
+    /// Adds the kept seats that give way to a role, the longest disconnected first, until one seat is free for it.
+    fn free_seats(
+        &self,
+        role: Role,
+        leaving: &mut Vec<ParticipantId>,
+        now: ServerTime,
+    ) -> Result<(), RefusalReason> {
+        for (classes, seats) in self.config.limits_of(RoleClass::of(role)) {
+            let taken = |leaving: &[ParticipantId]| -> Vec<&Participant> {
+                let sharing = self.participants.values().filter(|p| {
+                    classes.contains(&RoleClass::of(p.role)) && !leaving.contains(&p.id)
+                });
+                sharing.collect()
+            };
+            loop {
+                let taken = taken(leaving);
+                if taken.len() < usize::from(seats) {
+                    break;
+                }
+                let yielding = taken.into_iter().filter(|p| p.gives_way(now));
+                let Some(next) = yielding.min_by_key(|p| p.kept_until()) else {
+                    return Err(RefusalReason::Full { role, seats });
+                };
+                leaving.push(next.id);
+            }
+        }
+        Ok(())
     }
 
     /// Whether a client may resume a seat. A wrong token and an expired seat get the same refusal, so that guessing
     /// reveals nothing.
     fn check_resumption(
-        &self,
+        &mut self,
         hello: &Hello,
         resume: &Resume,
         now: ServerTime,
@@ -91,21 +153,20 @@ impl Room {
         if !self.is_granted(hello) {
             return Err(RefusalReason::BadGrant { role: hello.role });
         }
-        let seat = self.participants.get(&resume.participant);
-        let is_theirs = seat.is_some_and(|seat| {
+        let seat = self.participants.get_mut(&resume.participant);
+        let theirs = seat.filter(|seat| {
             seat.token.matches(&resume.token)
                 && seat.name == hello.name
                 && seat.role == hello.role
                 && seat.subscription == hello.subscription
-                && seat.resumed < RESUMES_MAX
-                && !seat.is_expired(now)
         });
-        if is_theirs && !self.log.takes_seat() {
-            Err(RefusalReason::LogFull)
-        } else if is_theirs {
+        let Some(seat) = theirs else {
+            return Err(RefusalReason::NoSuchSeat);
+        };
+        if self.log.takes_seat() && seat.resumptions.take(1.0, now) {
             Ok(())
         } else {
-            Err(RefusalReason::NoSuchSeat)
+            Err(RefusalReason::Busy)
         }
     }
 
@@ -117,12 +178,13 @@ impl Room {
     fn seat(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
         let id = ParticipantId(self.next_participant);
         self.next_participant += 1;
-        let tool = hello.tool.filter(|_| hello.role.has_tool());
         let token = (self.config.fresh_token)(id);
-        let name = hello.name.clone();
+        let cuts = CutBudget::new(self.departed_log, now);
         let cap = self.config.cap();
-        let mut participant = Participant::new(peer, token, id, name, hello.role, tool, cap);
-        participant.subscription = hello.subscription;
+        let participant = Participant::new(peer, token, id, hello, cap, cuts, now);
+        let RosterEntry {
+            name, role, tool, ..
+        } = participant.roster_entry();
         let first = OperationId(0);
         let welcome = self.welcome(&participant, self.config.compensation, first, now);
         self.send_welcome(peer, welcome);
@@ -130,8 +192,8 @@ impl Room {
         self.by_peer.insert(peer, id);
         let kind = OperationKind::Joined {
             participant: id,
-            name: hello.name,
-            role: hello.role,
+            name,
+            role,
             tool,
         };
         self.append(id, kind, now);
@@ -145,7 +207,6 @@ impl Room {
         let Some(seat) = self.participants.get_mut(&id) else {
             return;
         };
-        seat.resumed += 1;
         seat.requests.next_connection();
         let before = std::mem::replace(&mut seat.presence, Presence::Connected(peer));
         if !seat.demotion.is_demoted() && seat.is_inactive() {
@@ -198,20 +259,14 @@ impl Room {
 
     /// The first operation that a resuming client lacks; 0 if its log differs from the server's.
     fn continues_at(&self, resume: &Resume) -> OperationId {
-        let last = resume
-            .next_operation
-            .0
-            .checked_sub(1)
-            .and_then(|last| self.log.get(usize::try_from(last).ok()?));
-        let is_ours = last.is_some_and(|last| {
-            last.topology_version_after == resume.topology_version
-                && last.hash_after == resume.topology_hash
+        let next = resume.next_operation;
+        // Dropped operations changed no topology.
+        let state = (self.log.last_before(next)).map_or((0, self.hashes[0]), |last| {
+            (last.topology_version_after, last.hash_after)
         });
-        if is_ours {
-            resume.next_operation
-        } else {
-            OperationId(0)
-        }
+        let is_ours =
+            next <= self.log.next() && state == (resume.topology_version, resume.topology_hash);
+        if is_ours { next } else { OperationId(0) }
     }
 
     fn welcome(
@@ -221,6 +276,8 @@ impl Room {
         first_operation: OperationId,
         now: ServerTime,
     ) -> Welcome {
+        let last = self.log.last_before(self.log.next());
+        let so_far = last.map_or(0, |last| last.id.0 + 1);
         Welcome {
             participant: seat.id,
             epoch: self.config.epoch,
@@ -235,7 +292,7 @@ impl Room {
             topology_version: self.version(),
             topology_hash: self.hash(),
             first_operation,
-            operations_so_far: self.log.len() as u64,
+            operations_so_far: so_far.max(first_operation.0),
             compensation,
             tick_hz: self.config.tick_hz,
             session_started_at: self.started_at,
@@ -245,7 +302,7 @@ impl Room {
     }
 
     fn send_welcome(&mut self, peer: PeerKey, welcome: Welcome) {
-        let first = usize::try_from(welcome.first_operation.0).unwrap_or(usize::MAX);
+        let first = welcome.first_operation;
         self.send(peer, PeerMessage::Welcome(Box::new(welcome)));
         let missing = self.log.since(first).to_vec();
         for operation in missing {
@@ -301,6 +358,8 @@ impl Room {
         }
         self.fan_out.remove(who);
         self.group.remove(who);
+        self.cut_queue.remove(who);
+        self.departed_log += gone.cuts.own_log();
         let kind = OperationKind::Left {
             participant: who,
             reason,

@@ -89,9 +89,18 @@ fn full_session_refuses_another_client_and_continues() {
     // A spectator takes a seat, too.
     for role in [Role::Trainee, Role::Spectator] {
         let reason = refusal(&come(&mut room, SEATS_MAX + 1, role)).unwrap();
-        assert_eq!(reason, RefusalReason::Full { seats: SEATS_MAX });
+        assert_eq!(
+            reason,
+            RefusalReason::Full {
+                role,
+                seats: SEATS_MAX
+            }
+        );
         let sentence = reason.to_string();
-        assert!(sentence.contains("all 64 seats are taken"), "{sentence}");
+        assert!(
+            sentence.contains(&format!("all 64 seats for the role {role} are taken")),
+            "{sentence}"
+        );
         assert!(sentence.contains("come back"), "{sentence}");
     }
     assert_eq!(room.participant_count(), usize::from(SEATS_MAX));

@@ -55,7 +55,18 @@ fn two() -> (SimulatedRoom, Resume) {
     room.handle_event(PeerKey(1), ann, ms(0));
     let bob = hello("bob", Role::Trainee, ToolKind::Probe);
     room.handle_event(PeerKey(2), bob, ms(0));
+    room.handle_event(PeerKey(1), drawing(0.0), ms(STROKE_MS));
     let seat = seat_of(&drain(&mut room), PeerKey(1), None);
+    (room, seat)
+}
+
+/// The same at 6 s, after Ann has taken part.
+fn two_for_a_while() -> (SimulatedRoom, Resume) {
+    let (mut room, mut seat) = two();
+    room.handle_event(PeerKey(1), pressing(5990, 6000), ms(6000));
+    for operation in operations(&drain(&mut room), PeerKey(1)) {
+        seat.note(&operation);
+    }
     (room, seat)
 }
 
@@ -155,15 +166,15 @@ fn tool_keeps_pressing_over_a_replaced_connection() {
 
 #[test]
 fn kept_seat_occupies_its_name_and_place_until_it_expires() {
-    let (mut room, seat) = two();
-    room.handle_event(PeerKey(1), lost(), ms(1000));
+    let (mut room, seat) = two_for_a_while();
+    room.handle_event(PeerKey(1), lost(), ms(7000));
     drain(&mut room);
     let other = hello("ann", Role::Spectator, ToolKind::Probe);
-    room.handle_event(PeerKey(3), other.clone(), ms(1100));
+    room.handle_event(PeerKey(3), other.clone(), ms(7100));
     let taken = refusal(&drain(&mut room));
     assert!(matches!(taken, Some(RefusalReason::NameTaken { .. })));
     assert_eq!(room.participant_count(), 2);
-    let end = ms(1000) + SEAT_RETENTION;
+    let end = ms(7000) + SEAT_RETENTION;
     room.handle_tick(end, &mut || false);
     let left = operations(&drain(&mut room), PeerKey(2));
     assert!(matches!(
@@ -182,7 +193,7 @@ fn kept_seat_occupies_its_name_and_place_until_it_expires() {
 
 #[test]
 fn refusal_of_a_kept_name_states_the_remaining_time() {
-    let (mut room, _) = two();
+    let (mut room, _) = two_for_a_while();
     let sentence = |room: &mut SimulatedRoom, at| {
         let eve = hello("ann", Role::Spectator, ToolKind::Probe);
         room.handle_event(PeerKey(3), eve, at);
@@ -193,10 +204,10 @@ fn refusal_of_a_kept_name_states_the_remaining_time() {
         });
         said.expect("a refusal")
     };
-    let here = sentence(&mut room, ms(500));
+    let here = sentence(&mut room, ms(6500));
     assert!(here.contains("already in the session"), "{here}");
-    room.handle_event(PeerKey(1), lost(), ms(1000));
-    let away = sentence(&mut room, ms(21_000));
+    room.handle_event(PeerKey(1), lost(), ms(47_000));
+    let away = sentence(&mut room, ms(67_000));
     assert!(away.contains("\"ann\" is kept for another 40 s"), "{away}");
 }
 
@@ -359,15 +370,20 @@ fn client_with_a_different_log_receives_the_whole_log() {
 }
 
 #[test]
-fn resumptions_of_a_seat_are_bounded() {
+fn resumptions_of_a_seat_are_limited_in_rate() {
     let (mut room, seat) = two();
-    let refused = (0..1000).find_map(|i| {
+    let mut resumed = 0;
+    for i in 0..1000 {
         let peer = PeerKey(100 + i);
         room.handle_event(peer, back("ann", seat), ms(1000));
-        refusal(&drain(&mut room))
-    });
-    assert_eq!(refused, Some(RefusalReason::NoSuchSeat));
-    assert!(room.operation_count() < 300);
+        match refusal(&drain(&mut room)) {
+            None => resumed += 1,
+            Some(reason) => assert_eq!(reason, RefusalReason::Busy),
+        }
+    }
+    assert_eq!(resumed, 8);
+    room.handle_event(PeerKey(2000), back("ann", seat), ms(6000));
+    assert_eq!(refusal(&drain(&mut room)), None, "one more after 5 s");
 }
 
 #[test]

@@ -130,6 +130,7 @@ impl Session {
             },
             grants: vec![(Role::Trainee, TRAINEE)],
             seats: 8,
+            spectators: 4,
             tick_hz: 30,
             compensation: CompensationSettings {
                 mode: CompensationMode::Adaptive { cap_us: CAP_US },
@@ -315,6 +316,11 @@ impl Session {
         self.outbox.extend(drain(&mut self.room));
     }
 
+    /// Delay reports that the measured paths did not explain.
+    fn unexplained(&self) -> u64 {
+        self.room.limits().of(crate::Limit::DelayReport)
+    }
+
     /// The longest stall that each machine reports, ms.
     fn reported_ms(&self) -> Vec<f64> {
         let clients = self.clients.iter().map(|c| {
@@ -411,6 +417,7 @@ fn transatlantic_delay_is_reached_within_a_second_without_excess() {
     session.lost = 50;
     session.run_until(1800, far);
     assert!(session.delay_ms() >= 115.0, "{} ms", session.delay_ms());
+    assert_eq!(session.unexplained(), 0);
 }
 
 #[test]
@@ -433,6 +440,7 @@ fn delay_follows_a_network_step_at_once_with_and_without_stalls() {
         let most = session.run_until(12_000, slow);
         assert!(most <= 190.0, "D rose to {most} ms");
         assert_eq!(session.room.demotion_count(), 0);
+        assert_eq!(session.unexplained(), 0);
     }
 }
 
@@ -452,4 +460,5 @@ fn network_burst_raises_the_delay_at_once_and_is_forgotten_within_seconds() {
     let seconds = 3.0 + most / 20.0;
     session.run_until(7000 + (seconds * 1e3) as i64, LAN);
     assert!(session.delay_ms() <= 20.0, "{} ms", session.delay_ms());
+    assert_eq!(session.unexplained(), 0);
 }

@@ -85,11 +85,17 @@ fn run(from: &str, what: &str) -> &'static str {
     let ann = hello("ann", Role::Trainee, ToolKind::Probe);
     let lost = || PeerEvent::Closed(CloseReason::ConnectionLost("a test".into()));
     room.handle_event(PeerKey(1), ann.clone(), ms(0));
-    let bob = hello("bob", Role::Spectator, ToolKind::Probe);
+    let bob = hello("bob", Role::Trainee, ToolKind::Probe);
     room.handle_event(PeerKey(2), bob, ms(0));
     match from {
         "Demoted" => now = report_requirement(&mut room, PeerKey(1), 600, 0, 4),
-        "Disconnected" => room.handle_event(PeerKey(1), lost(), ms(0)),
+        "Disconnected" => {
+            // Otherwise the seat gives way.
+            if !what.ends_with("never took part") {
+                room.handle_event(PeerKey(1), pressing(-60_010, -60_000), ms(-60_000));
+            }
+            room.handle_event(PeerKey(1), lost(), ms(0));
+        }
         "Removed" => room.handle_event(PeerKey(1), PeerEvent::Closed(CloseReason::Left), ms(0)),
         _ => {}
     }
@@ -109,6 +115,16 @@ fn run(from: &str, what: &str) -> &'static str {
             (PeerKey(3), resume_hello(Resume { token, ..seat() }))
         }
         "a new participant with its name" => (PeerKey(3), ann),
+        "a new participant with its name, and it never took part" => {
+            room.handle_event(PeerKey(3), ann, ms(now));
+            let ops = operations(&drain(&mut room), PeerKey(2));
+            let left = |o: &Arc<Operation>| matches!(o.kind, OperationKind::Left { participant, .. } if participant == ANN);
+            return if ops.iter().any(left) {
+                "Removed"
+            } else {
+                "Disconnected"
+            };
+        }
         "its requirement exceeds the cap for 2 s" | "its requirement exceeds the cap for 4 s" => {
             let seconds = if what.ends_with("2 s") { 2 } else { 4 };
             report_requirement(&mut room, PeerKey(1), 600, now, seconds);

@@ -78,6 +78,7 @@ fn cut_faces_are_part_of_the_next_surface() {
     let mut seen = Vec::new();
     for t in 0..400 {
         if t == 200 {
+            room.handle_event(PeerKey(1), drawing(0.0), ms(t));
             let kind = stroke();
             let id = RequestId(1);
             room.handle_event(PeerKey(1), PeerEvent::Request(Request { id, kind }), ms(t));

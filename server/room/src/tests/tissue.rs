@@ -20,6 +20,7 @@ fn table() -> Room {
         hello("bob", Role::Spectator, ToolKind::Probe),
         ms(0),
     );
+    room.handle_event(PeerKey(1), drawing(0.0), ms(0));
     drained(&mut room);
     room
 }
@@ -60,7 +61,7 @@ fn motion_is_relayed_while_the_tissue_is_busy() {
     ));
     // Neither order is completed for two seconds. Every 4 ms of motion still leave with the next round.
     let mut relayed = 0;
-    for t in (4..2000).step_by(4) {
+    for t in (104..2104).step_by(4) {
         room.handle_event(PeerKey(1), pressing(t - 4, t), ms(t));
         room.handle_tick(ms(t));
         let motion = |o: &Output| matches!(o, Output::Datagram(_, PeerDatagram::Motion(_)));
@@ -90,6 +91,7 @@ fn prepared_cut_enters_the_log_and_its_order_has_that_time() {
         author: palpate_protocol::ParticipantId(1),
         request: RequestId(1),
         result: Ok(logged),
+        took: Span::ZERO,
     };
     room.handle_report(report, ms(250));
     assert_eq!(room.topology(), (1, TopologyHash(9)));
@@ -103,23 +105,46 @@ fn prepared_cut_enters_the_log_and_its_order_has_that_time() {
 }
 
 #[test]
-fn cuts_in_preparation_are_bounded_and_a_refusal_frees_a_slot() {
+fn cuts_of_one_author_are_bounded_and_a_refusal_frees_a_slot() {
     let mut room = table();
-    for id in 0..20 {
-        asks_to_cut(&mut room, id, ms(100));
+    // The budget of length has filled.
+    let now = ms(10_000);
+    for id in 0..6 {
+        asks_to_cut(&mut room, id, now);
     }
-    assert_eq!(orders(&mut room).len(), 16);
+    assert_eq!(orders(&mut room).len(), 2, "in preparation at once");
     let refused = refusals(&drained(&mut room));
-    assert_eq!(refused, vec![RequestRefusal::TooMany; 4]);
-    let report = TissueReport::Cut {
+    assert_eq!(refused, vec![RequestRefusal::TooMany; 2], "four may wait");
+    let report = || TissueReport::Cut {
         author: palpate_protocol::ParticipantId(1),
         request: RequestId(0),
         result: Err(RequestRefusal::NothingCut),
+        took: Span::ZERO,
     };
-    room.handle_report(report, ms(110));
+    room.handle_report(report(), now);
     assert_eq!(refusals(&drained(&mut room)), [RequestRefusal::NothingCut]);
-    asks_to_cut(&mut room, 20, ms(120));
     assert_eq!(orders(&mut room).len(), 1);
+    asks_to_cut(&mut room, 20, now);
+    assert!(refusals(&drained(&mut room)).is_empty());
+}
+
+#[test]
+fn preparation_time_in_debt_is_paid_before_the_next_cut() {
+    let mut room = table();
+    asks_to_cut(&mut room, 1, ms(100));
+    let report = TissueReport::Cut {
+        author: palpate_protocol::ParticipantId(1),
+        request: RequestId(1),
+        result: Err(RequestRefusal::NothingCut),
+        took: Span::from_millis(1000),
+    };
+    room.handle_report(report, ms(1100));
+    drained(&mut room);
+    // The debt is 0.25 s at most, and a quarter of a second is paid in one.
+    asks_to_cut(&mut room, 2, ms(1200));
+    assert_eq!(refusals(&drained(&mut room)), [RequestRefusal::TooMany]);
+    asks_to_cut(&mut room, 3, ms(3200));
+    assert!(refusals(&drained(&mut room)).is_empty());
 }
 
 #[test]
@@ -132,6 +157,7 @@ fn report_for_a_departed_author_is_sent_to_no_peer() {
         author: palpate_protocol::ParticipantId(1),
         request: RequestId(1),
         result: Err(RequestRefusal::NothingCut),
+        took: Span::ZERO,
     };
     room.handle_report(report, ms(120));
     assert!(refusals(&drained(&mut room)).is_empty());

@@ -172,12 +172,18 @@ fn run(from: &str, what: &str) -> &'static str {
         "no answer for 4 s" => machine.handle_timeout(at(FIRST_WAIT_IS_OVER + 4000)),
         "the attempt fails" => machine.handle_failure("a test".to_owned(), at(400)),
         "a refusal for load" => {
-            machine.handle_refusal(refusal(RefusalReason::Full { seats: 8 }), at(400));
+            machine.handle_refusal(
+                refusal(RefusalReason::Full {
+                    role: Role::Trainee,
+                    seats: 8,
+                }),
+                at(400),
+            );
         }
         "the seat is gone" | "the seat of a spectator is gone" => {
             machine.handle_refusal(refusal(RefusalReason::NoSuchSeat), at(400));
         }
-        "another refusal" => machine.handle_refusal(refusal(RefusalReason::LogFull), at(400)),
+        "another refusal" => machine.handle_refusal(refusal(RefusalReason::Closing), at(400)),
         "another server" => machine.handle_dead_end("a test".to_owned()),
         other => panic!("no test for \"{other}\" of a reconnect"),
     }
@@ -316,7 +322,13 @@ fn link_is_reported_lost_and_restored_once() {
 #[test]
 fn refusal_for_load_is_reported_until_the_next_attempt() {
     let mut machine = connecting_as(Role::Trainee);
-    machine.handle_refusal(refusal(RefusalReason::Full { seats: 8 }), at(400));
+    machine.handle_refusal(
+        refusal(RefusalReason::Full {
+            role: Role::Trainee,
+            seats: 8,
+        }),
+        at(400),
+    );
     let retry = machine.status().retry.clone().unwrap();
     assert!(retry.is_busy && retry.cause.contains("all 8 seats"));
     assert_eq!(retry.attempt, 2);

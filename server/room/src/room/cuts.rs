@@ -1,0 +1,112 @@
+//! Cuts: from the request over its checks and its preparation to the log.
+//!
+//! ```text
+//! request --shape, tool, log, budgets--> queue --turn--> preparation --charge--> log
+//! ```
+
+use palpate_protocol::operation::OperationKind;
+use palpate_protocol::request::{CutRequest, RequestRefusal};
+use palpate_protocol::tool::ToolKind;
+use palpate_protocol::{ParticipantId, RequestId, ServerTime, Span};
+
+use super::Room;
+use crate::authority::{CutOrder, LoggedCut, TissueOrder};
+use crate::cut_budget::check_shape;
+use crate::limits::Limit;
+
+impl Room {
+    /// Queues a cut, or refuses it.
+    pub(super) fn order_cut(
+        &mut self,
+        author: ParticipantId,
+        request: RequestId,
+        cut: CutRequest,
+        now: ServerTime,
+    ) -> Result<(), RequestRefusal> {
+        if let Err(refusal) = self.check_cut(author, &cut, now) {
+            match &refusal {
+                RequestRefusal::TooMany => self.limits.count(Limit::CutBudget),
+                RequestRefusal::LogFull => self.limits.count(Limit::LogFull),
+                RequestRefusal::NotAtTool(_) | RequestRefusal::CanNotCut(_) => {
+                    self.limits.count(Limit::CutRefused);
+                }
+                _ => {}
+            }
+            return Err(refusal);
+        }
+        self.cut_queue.push(CutOrder {
+            author,
+            request,
+            cut,
+        });
+        self.prepare_cuts();
+        Ok(())
+    }
+
+    fn check_cut(
+        &mut self,
+        who: ParticipantId,
+        cut: &CutRequest,
+        now: ServerTime,
+    ) -> Result<(), RequestRefusal> {
+        let Some(author) = self.participants.get_mut(&who) else {
+            return Err(RequestRefusal::NotAllowed);
+        };
+        let Some(blade) = author.tool.filter(|t| t.kind == ToolKind::Scalpel) else {
+            return Err(RequestRefusal::NotAllowed);
+        };
+        if author.demotion.is_demoted() {
+            return Err(RequestRefusal::Demoted);
+        }
+        if !self.log.takes_cut(author.cuts.log_used()) {
+            return Err(RequestRefusal::LogFull);
+        }
+        check_shape(cut, &blade)?;
+        (author.track.check(&cut.points)).map_err(RequestRefusal::NotAtTool)?;
+        if !self.cut_queue.has_room(who) {
+            return Err(RequestRefusal::TooMany);
+        }
+        author.cuts.take(cut, now)
+    }
+
+    fn prepare_cuts(&mut self) {
+        while let Some(order) = self.cut_queue.poll() {
+            self.orders.push_back(TissueOrder::Cut(order));
+        }
+    }
+
+    /// Logs a prepared cut, or sends its refusal, and charges its author.
+    pub(super) fn handle_cut(
+        &mut self,
+        author: ParticipantId,
+        request: RequestId,
+        result: Result<LoggedCut, RequestRefusal>,
+        took: Span,
+        now: ServerTime,
+    ) {
+        self.cut_queue.end(author);
+        self.prepare_cuts();
+        if let Some(author) = self.participants.get_mut(&author) {
+            author.cuts.charge(took, now);
+        }
+        match result {
+            Ok(cut) => {
+                let before = self.version();
+                self.cuts += 1;
+                self.hashes.push(cut.hash);
+                let apply = TissueOrder::Apply {
+                    version: cut.version,
+                    at: now,
+                };
+                self.orders.push_back(apply);
+                let kind = OperationKind::Cut(cut.stroke);
+                let bytes = self.append_between(author, kind, now, before);
+                match self.participants.get_mut(&author) {
+                    Some(author) => author.cuts.note_log(bytes),
+                    None => self.departed_log += bytes,
+                }
+            }
+            Err(reason) => self.note_refusal(author, request, reason),
+        }
+    }
+}
