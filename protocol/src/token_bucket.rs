@@ -23,6 +23,19 @@ impl TokenBucket {
         }
     }
 
+    /// The same bucket with fewer tokens at first.
+    #[must_use]
+    pub const fn holding(mut self, tokens: f64) -> Self {
+        self.tokens = tokens;
+        self
+    }
+
+    /// Takes `cost` tokens for something that is done already; the bucket may be in debt afterwards.
+    pub fn charge(&mut self, cost: f64, now: Span) {
+        self.tokens = self.level(now) - cost;
+        self.filled = self.filled.max(now);
+    }
+
     /// Takes `cost` tokens; `false` if the bucket holds fewer, and then takes none.
     pub fn take(&mut self, cost: f64, now: Span) -> bool {
         self.tokens = self.level(now);
@@ -85,6 +98,17 @@ mod tests {
                 prop_assert!(bucket.take(1.0, now));
             }
         }
+    }
+
+    #[test]
+    fn debt_is_paid_over_time() {
+        let at = |s: i64| Span::from_millis(s * 1000);
+        let mut bucket = TokenBucket::new(0.5, 2.0, at(0)).holding(1.0);
+        bucket.charge(4.0, at(0));
+        assert!(!bucket.take(0.0, at(5)));
+        assert!(bucket.take(0.0, at(6)));
+        // A clock that steps back gives nothing.
+        assert!(!bucket.take(0.5, at(1)));
     }
 
     #[test]

@@ -2,9 +2,8 @@
 
 use palpate_protocol::request::{CutRequest, RequestRefusal, TimedBladePoint};
 use palpate_protocol::tool::ToolDescription;
-use palpate_protocol::{ServerTime, Span};
+use palpate_protocol::{ServerTime, Span, TokenBucket};
 
-use crate::bucket::Bucket;
 use crate::track;
 
 /// Length of strokes over time, m/s: three times the speed of a careful cut, without a pause.
@@ -44,8 +43,8 @@ const DEPTH_TOLERANCE_M: f64 = 1e-3;
 /// One participant's budget.
 #[derive(Debug)]
 pub(crate) struct CutBudget {
-    length_m: Bucket,
-    time_s: Bucket,
+    length_m: TokenBucket,
+    time_s: TokenBucket,
     /// Log space of the cuts of participants who left before this one joined, bytes.
     inherited: u64,
     /// Log space of this participant's cuts, bytes.
@@ -55,9 +54,10 @@ pub(crate) struct CutBudget {
 impl CutBudget {
     /// The budget of a newcomer. Participants who have left used `inherited` bytes of the log.
     pub(crate) fn new(inherited: u64, now: ServerTime) -> Self {
+        let at = now - ServerTime::ZERO;
         Self {
-            length_m: Bucket::new(LENGTH_BURST_M, LENGTH_PER_S_M, LENGTH_FIRST_M, now),
-            time_s: Bucket::new(TIME_BURST_S, TIME_PER_S, TIME_FIRST_S, now),
+            length_m: TokenBucket::new(LENGTH_PER_S_M, LENGTH_BURST_M, at).holding(LENGTH_FIRST_M),
+            time_s: TokenBucket::new(TIME_PER_S, TIME_BURST_S, at).holding(TIME_FIRST_S),
             inherited,
             own: 0,
         }
@@ -80,8 +80,9 @@ impl CutBudget {
 
     /// Takes the length of a stroke, unless it or an unpaid preparation exceeds the budget.
     pub(crate) fn take(&mut self, cut: &CutRequest, now: ServerTime) -> Result<(), RequestRefusal> {
-        let has_time = self.time_s.level(now) >= 0.0;
-        if has_time && self.length_m.take(track::length(&cut.points), now) {
+        let at = now - ServerTime::ZERO;
+        let has_time = self.time_s.has(0.0, at);
+        if has_time && self.length_m.take(track::length(&cut.points), at) {
             Ok(())
         } else {
             Err(RequestRefusal::TooMany)
@@ -90,7 +91,8 @@ impl CutBudget {
 
     /// Charges the CPU time of a preparation.
     pub(crate) fn charge(&mut self, time: Span, now: ServerTime) {
-        self.time_s.charge(time.as_secs_f64(), now);
+        self.time_s
+            .charge(time.as_secs_f64(), now - ServerTime::ZERO);
     }
 }
 

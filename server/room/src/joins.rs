@@ -3,9 +3,8 @@
 //! The room does not know addresses; the transport limits connections per address. Classes keep a flood of spectators
 //! away from trainees, and one of trainees away from the instructor. A seat resumes from its own budget.
 
-use palpate_protocol::{Role, ServerTime};
+use palpate_protocol::{Role, ServerTime, TokenBucket};
 
-use crate::bucket::Bucket;
 use crate::config::SEATS_MAX;
 
 /// Joins of one class at once: all seats, as at the start of a session.
@@ -48,13 +47,13 @@ impl RoleClass {
 #[derive(Debug)]
 pub(crate) struct Joins {
     /// By class: the rate, and the numbers used.
-    classes: [(Bucket, u16); 3],
+    classes: [(TokenBucket, u16); 3],
 }
 
 impl Joins {
     /// Full budgets.
     pub(crate) fn new(now: ServerTime) -> Self {
-        let class = |_| (Bucket::new(BURST, PER_S, BURST, now), 0);
+        let class = |_| (TokenBucket::new(PER_S, BURST, now - ServerTime::ZERO), 0);
         Self {
             classes: [0; 3].map(class),
         }
@@ -63,15 +62,15 @@ impl Joins {
     /// Takes one join of a class, if its budget has one.
     pub(crate) fn take(&mut self, class: RoleClass, now: ServerTime) -> bool {
         let (bucket, used) = &mut self.classes[class as usize];
-        let takes = *used < NUMBERS_MAX && bucket.take(1.0, now);
+        let takes = *used < NUMBERS_MAX && bucket.take(1.0, now - ServerTime::ZERO);
         *used += u16::from(takes);
         takes
     }
 }
 
 /// The budget of one seat's resumptions.
-pub(crate) fn resumptions(now: ServerTime) -> Bucket {
-    Bucket::new(RESUMPTIONS_BURST, RESUMPTIONS_PER_S, RESUMPTIONS_BURST, now)
+pub(crate) fn resumptions(now: ServerTime) -> TokenBucket {
+    TokenBucket::new(RESUMPTIONS_PER_S, RESUMPTIONS_BURST, now - ServerTime::ZERO)
 }
 
 #[cfg(test)]

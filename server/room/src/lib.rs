@@ -9,7 +9,6 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod authority;
-mod bucket;
 mod config;
 mod convert;
 mod cut_budget;

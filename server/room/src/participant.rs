@@ -7,11 +7,10 @@ use palpate_protocol::name::Appearance;
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::{ToolDescription, ToolKind, ToolPart, part_id};
-use palpate_protocol::{ParticipantId, ResumeToken, Role, ServerTime, Span};
+use palpate_protocol::{ParticipantId, ResumeToken, Role, ServerTime, Span, TokenBucket};
 use palpate_tissue::{Form, Tool, Vec3};
 
 use crate::PeerKey;
-use crate::bucket::Bucket;
 use crate::cut_budget::CutBudget;
 use crate::joins;
 use crate::request_history::RequestHistory;
@@ -49,7 +48,7 @@ pub(crate) struct Participant {
     /// Token that resumes the seat.
     pub(crate) token: ResumeToken,
     /// Budget of resumptions.
-    pub(crate) resumptions: Bucket,
+    pub(crate) resumptions: TokenBucket,
     /// The first motion of its tool.
     moved_since: Option<ServerTime>,
     pub(crate) id: ParticipantId,

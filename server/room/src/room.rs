@@ -15,12 +15,11 @@ use palpate_protocol::request::{
 };
 use palpate_protocol::session::{PeerDatagram, PeerEvent, PeerMessage, PeerMotion};
 use palpate_protocol::{
-    OperationId, ParticipantId, RequestId, ResumeToken, ServerTime, Span, TopologyHash,
+    OperationId, ParticipantId, RequestId, ResumeToken, ServerTime, Span, TokenBucket, TopologyHash,
 };
 use palpate_tissue::Tool;
 
 use crate::authority::{Settling, TissueOrder, TissueReport};
-use crate::bucket::Bucket;
 use crate::config::RoomConfig;
 use crate::cut_queue::CutQueue;
 use crate::fan_out::FanOut;
@@ -91,7 +90,7 @@ pub struct Room {
     /// Log space of the cuts of participants who have left, bytes.
     departed_log: u64,
     joins: Joins,
-    delay_changes: Bucket,
+    delay_changes: TokenBucket,
     limits: LimitCounters,
     orders: VecDeque<TissueOrder>,
     outputs: VecDeque<Output>,
@@ -124,11 +123,10 @@ impl Room {
             cut_queue: CutQueue::default(),
             departed_log: 0,
             joins: Joins::new(now),
-            delay_changes: Bucket::new(
-                DELAY_CHANGES_BURST,
+            delay_changes: TokenBucket::new(
                 DELAY_CHANGES_PER_S,
                 DELAY_CHANGES_BURST,
-                now,
+                now - ServerTime::ZERO,
             ),
             limits: LimitCounters::default(),
             orders: VecDeque::new(),
@@ -354,14 +352,15 @@ impl Room {
             // The requirement ends with the last participant that caused it.
             None => self.group.remove(ParticipantId::SERVER),
         }
-        if !self.log.takes_delay() || self.delay_changes.level(now) < 1.0 {
+        let at = now - ServerTime::ZERO;
+        if !self.log.takes_delay() || !self.delay_changes.has(1.0, at) {
             self.limits.count(Limit::DelayChange);
             return;
         }
         if let Some(change) = self.group.poll_change(now, self.group.lead()) {
             self.schedule
                 .handle_change(change.delay_us, change.effective_at);
-            self.delay_changes.charge(1.0, now);
+            self.delay_changes.take(1.0, at);
             let kind = OperationKind::Compensation {
                 delay_us: change.delay_us,
                 effective_at: change.effective_at,

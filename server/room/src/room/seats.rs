@@ -163,7 +163,7 @@ impl Room {
         let Some(seat) = theirs else {
             return Err(RefusalReason::NoSuchSeat);
         };
-        if self.log.takes_seat() && seat.resumptions.take(1.0, now) {
+        if self.log.takes_seat() && seat.resumptions.take(1.0, now - ServerTime::ZERO) {
             Ok(())
         } else {
             Err(RefusalReason::Busy)
