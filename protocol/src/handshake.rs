@@ -359,7 +359,7 @@ pub enum RefusalReason {
     },
     /// The role needs a tool and the client offered no valid one.
     #[error(
-        "the role {role} needs a tool with a radius between 0.1 mm and 100 mm, and with the length and width of its kind (at most 500 mm)"
+        "the role {role} needs a tool with a radius between 0.1 mm and 100 mm, and with the length and width of its kind (at most 200 mm)"
     )]
     BadTool {
         /// The requested role.

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::ParticipantId;
 
-/// Longest tool, m.
-pub const TOOL_LENGTH_MAX_M: f64 = 0.5;
+/// Longest tool, m. All sites solve for every tool, and a plate of half a metre would refine the whole model.
+pub const TOOL_LENGTH_MAX_M: f64 = 0.2;
 
 /// Parts of one tool at most.
 const PARTS_MAX: u32 = 2;

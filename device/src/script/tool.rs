@@ -8,7 +8,7 @@ use crate::ScriptError;
 /// Default length of a blade's edge, mm: about that of a number 10 blade.
 const BLADE_LENGTH_MM: f64 = 20.0;
 /// Longest tool, m.
-const LENGTH_MAX_M: f64 = 0.5;
+const LENGTH_MAX_M: f64 = 0.2;
 
 /// Kind of tool. In its own frame the tip is at the origin and the handle along z.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]

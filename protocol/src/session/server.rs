@@ -30,8 +30,9 @@ pub const REQUESTS_PER_SECOND_MAX: u32 = 50;
 /// connection stays below it.
 pub const REFUSALS_BURST_MAX: u32 = 200;
 
-/// The largest time of a sample ahead of now; a later one makes the datagram noise.
-pub const FUTURE_MAX: Span = Span::from_millis(500);
+/// The largest time of a sample ahead of now; a later one makes the datagram noise. It is the clock error of a
+/// path whose directions differ by 300 ms. Receivers ignore honest motion that is older than a false time.
+pub const FUTURE_MAX: Span = Span::from_millis(150);
 
 /// Older samples are noise, too: no site displays them, and receivers must distinguish them from new
 /// ones.

@@ -10,12 +10,9 @@ use crate::config::SEATS_MAX;
 /// Joins of one class at once: all seats, as at the start of a session.
 const BURST: f64 = SEATS_MAX as f64;
 
-/// Joins of one class per second in the long run.
-const PER_S: f64 = 0.5;
-
-/// Participant numbers of one class. Numbers are not reused; a class that uses [`PER_S`] without a pause has eleven
-/// hours.
-const NUMBERS_MAX: u16 = 20_000;
+/// Joins of one class per second in the long run: a newcomer is hardly ever refused beside a participant who joins and
+/// drops as fast as one connection can, and all classes together add fewer than 90 operations per second.
+const PER_S: f64 = 10.0;
 
 /// Resumptions of one seat at once. A loss is detected after 2 s.
 const RESUMPTIONS_BURST: f64 = 8.0;
@@ -46,25 +43,20 @@ impl RoleClass {
 /// The budgets of all classes.
 #[derive(Debug)]
 pub(crate) struct Joins {
-    /// By class: the rate, and the numbers used.
-    classes: [(TokenBucket, u16); 3],
+    classes: [TokenBucket; 3],
 }
 
 impl Joins {
     /// Full budgets.
     pub(crate) fn new(now: ServerTime) -> Self {
-        let class = |_| (TokenBucket::new(PER_S, BURST, now - ServerTime::ZERO), 0);
         Self {
-            classes: [0; 3].map(class),
+            classes: [TokenBucket::new(PER_S, BURST, now - ServerTime::ZERO); 3],
         }
     }
 
     /// Takes one join of a class, if its budget has one.
     pub(crate) fn take(&mut self, class: RoleClass, now: ServerTime) -> bool {
-        let (bucket, used) = &mut self.classes[class as usize];
-        let takes = *used < NUMBERS_MAX && bucket.take(1.0, now - ServerTime::ZERO);
-        *used += u16::from(takes);
-        takes
+        self.classes[class as usize].take(1.0, now - ServerTime::ZERO)
     }
 }
 
@@ -97,16 +89,5 @@ mod tests {
                 prop_assert!(joins.take(class, now));
             }
         }
-    }
-
-    #[test]
-    fn one_class_does_not_use_up_all_numbers() {
-        let mut joins = Joins::new(ServerTime::ZERO);
-        let at = |s: i64| ServerTime::from_micros(s * 1_000_000);
-        let taken = (0..100_000)
-            .filter(|s| joins.take(RoleClass::Observers, at(*s)))
-            .count();
-        assert_eq!(taken, usize::from(NUMBERS_MAX));
-        assert!(3 * u32::from(NUMBERS_MAX) < u32::from(u16::MAX));
     }
 }

@@ -40,10 +40,10 @@ const CUTS_MAX: u64 = 7_000;
 /// Least space of a cut in bytes, so that one measure bounds number and bytes.
 const CUT_MIN_BYTES: u64 = CUTS_MAX_BYTES.div_ceil(CUTS_MAX);
 
-/// Limit for operations about participants. Joins (three classes of 64 and 0.5 per second, three operations each) and
+/// Limit for operations about participants. Joins (three classes of 64 and 10 per second, three operations each) and
 /// resumptions (64 seats with 8 and 0.2 per second, two operations each) of [`KEPT`] stay below it. With cuts and
-/// changes of the delay it is the 20,000 that the transport lets wait for a peer.
-const PARTICIPANTS_MAX: usize = 5_000;
+/// changes of the delay it is the 25,000 that the transport lets wait for a peer.
+const PARTICIPANTS_MAX: usize = 10_000;
 
 /// Age from which superseded operations are dropped: a seat is kept for 60 s, and a lost connection is noticed within
 /// 2 s on both sides.
@@ -113,6 +113,13 @@ impl Log {
 
     fn index_of(&self, number: OperationId) -> usize {
         self.operations.partition_point(|o| o.id < number)
+    }
+
+    /// Whether an operation is about this participant or was requested by it.
+    pub(crate) fn names(&self, who: ParticipantId) -> bool {
+        self.operations
+            .iter()
+            .any(|o| o.author == who || about(&o.kind) == Some(who))
     }
 
     /// Whether a change of the delay fits.

@@ -67,6 +67,7 @@ pub struct Room {
     participants: BTreeMap<ParticipantId, Participant>,
     by_peer: BTreeMap<PeerKey, ParticipantId>,
     next_participant: u16,
+    joined: u64,
     log: Log,
     schedule: DelaySchedule,
     group: GroupDelay,
@@ -104,6 +105,7 @@ impl Room {
             participants: BTreeMap::new(),
             by_peer: BTreeMap::new(),
             next_participant: 1,
+            joined: 0,
             log: Log::default(),
             schedule: DelaySchedule::new(&config.compensation),
             group: GroupDelay::new(&config.compensation),
@@ -396,6 +398,11 @@ impl Room {
     /// The participant of a connection, once admitted.
     pub fn participant_of(&self, peer: PeerKey) -> Option<ParticipantId> {
         self.by_peer.get(&peer).copied()
+    }
+
+    /// Number of joins since the session began; resumptions do not count.
+    pub fn joined_count(&self) -> u64 {
+        self.joined
     }
 
     /// Number of participants, including kept seats.

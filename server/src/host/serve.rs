@@ -67,7 +67,6 @@ struct Session {
     ticks_us: Histogram<u64>,
     late_us: Histogram<u64>,
     cuts_us: Histogram<u64>,
-    participants: u64,
     skipped: u64,
     /// Counters of closed connections.
     refused: Refused,
@@ -116,7 +115,6 @@ pub(super) fn serve(
         ticks_us: histogram()?,
         late_us: histogram()?,
         cuts_us: histogram()?,
-        participants: 0,
         skipped: 0,
         refused: Refused::default(),
         announcements: Announcements::new(),
@@ -262,9 +260,7 @@ impl Session {
         if let PeerEvent::Closed(reason) = &input.event {
             tracing::info!(peer = peer.0, %reason, "peer disconnected");
         }
-        let before = self.room.participant_count();
         self.room.handle_event(peer, input.event, input.at);
-        self.participants += u64::from(self.room.participant_count() > before);
         if closed && let Some(handle) = self.peers.remove(&peer) {
             let stats = handle.stats();
             self.skipped += stats.path.skipped_datagrams;
@@ -301,7 +297,7 @@ impl Session {
 
     /// Publishes the tokens when the seats have changed: before the welcome leaves, which contains one.
     fn publish_seats(&mut self) {
-        let seats = (self.participants, self.room.participant_count());
+        let seats = (self.room.joined_count(), self.room.participant_count());
         if self.seats_known != seats {
             self.seats_known = seats;
             self.tokens.set(self.room.seats());
@@ -359,7 +355,7 @@ impl Session {
             topology_hash: hash.to_string(),
             components: tissue.as_ref().map_or(0, Cutter::components),
             boundary_closed: tissue.as_ref().is_some_and(Cutter::boundary_closed),
-            participants: self.participants,
+            participants: self.room.joined_count(),
             compensation_ms: self.room.delay_at(server_time(self.began)).as_millis_f64(),
             datagrams_skipped: self.skipped + alive,
             demotions: self.room.demotion_count(),

@@ -298,7 +298,7 @@ impl Arena<'_> {
             start_when: 2,
         })?;
         let participants = self.pair.join(&session, progress, self.interrupt)?;
-        let visitors = Visitors::start(&session)?;
+        let visitors = Visitors::start(&session, attacks.iter().any(|a| a.takes_seats))?;
         let mut watched = Watched {
             session,
             participants,

@@ -77,7 +77,8 @@ impl ObservedLog {
 /// The visitors of a session, on a thread of their own.
 pub(super) struct Visitors {
     runtime: Option<Runtime>,
-    links: [JoinLink; 2],
+    /// Links of the newcomers, in turn.
+    links: Vec<JoinLink>,
     attempts: Arc<Mutex<Vec<Attempt>>>,
     log: Arc<Mutex<ObservedLog>>,
 }
@@ -88,15 +89,17 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Visitors {
-    /// Starts the observer.
-    pub(super) fn start(session: &Session) -> Result<Self, SessionError> {
+    /// Starts the observer. Where attackers may keep all seats of spectators, which a link allows, newcomers are
+    /// trainees.
+    pub(super) fn start(session: &Session, takes_seats: bool) -> Result<Self, SessionError> {
         let runtime = crew::runtime()?;
-        let links = [
-            session.direct_link("trainee")?,
-            session.direct_link("spectator")?,
-        ];
+        let spectator = session.direct_link("spectator")?;
+        let mut links = vec![session.direct_link("trainee")?];
         let log = Arc::new(Mutex::new(ObservedLog::default()));
-        runtime.spawn(observe(links[1].clone(), Arc::clone(&log)));
+        runtime.spawn(observe(spectator.clone(), Arc::clone(&log)));
+        if !takes_seats {
+            links.push(spectator);
+        }
         Ok(Self {
             runtime: Some(runtime),
             links,

@@ -20,10 +20,10 @@ use crate::connection::Connection;
 use crate::drive::{Commands, DriverStats, Machine, drive};
 use crate::slots::Slot;
 
-/// Capacity of a peer's reliable queue: the longest log that a room sends to a new participant, 18,000
+/// Capacity of a peer's reliable queue: the longest log that a room sends to a new participant, 25,000
 /// operations, plus messages meanwhile. Beyond it the peer is closed. An entry has at most 64 bytes beside
-/// the operation that it shares; a full queue takes 1.3 MB.
-pub const RELIABLE_QUEUE_MAX: usize = 20_000;
+/// the operation that it shares; a full queue takes 1.6 MB.
+pub const RELIABLE_QUEUE_MAX: usize = 25_000;
 
 /// The size of an entry of the queue, bytes.
 const ENTRY_BYTES_MAX: usize = 64;

@@ -175,9 +175,19 @@ impl Room {
         grants.any(|(role, grant)| *role == hello.role && grant.matches(&hello.grant))
     }
 
+    /// A number that no seat has and no operation of the log names. There are fewer of those than numbers.
+    fn fresh_number(&mut self) -> ParticipantId {
+        loop {
+            let id = ParticipantId(self.next_participant);
+            self.next_participant = self.next_participant.wrapping_add(1).max(1);
+            if !self.participants.contains_key(&id) && !self.log.names(id) {
+                return id;
+            }
+        }
+    }
+
     fn seat(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
-        let id = ParticipantId(self.next_participant);
-        self.next_participant += 1;
+        let id = self.fresh_number();
         let token = (self.config.fresh_token)(id);
         let cuts = CutBudget::new(self.departed_log, now);
         let cap = self.config.cap();
@@ -189,6 +199,7 @@ impl Room {
         let welcome = self.welcome(&participant, self.config.compensation, first, now);
         self.send_welcome(peer, welcome);
         self.participants.insert(id, participant);
+        self.joined += 1;
         self.by_peer.insert(peer, id);
         let kind = OperationKind::Joined {
             participant: id,

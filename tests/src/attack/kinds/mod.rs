@@ -37,6 +37,8 @@ pub struct Attack {
     pub name: &'static str,
     /// Description in one line.
     pub about: &'static str,
+    /// Whether attackers keep all seats of spectators.
+    pub(super) takes_seats: bool,
     run: fn(Arc<Target>) -> Running,
 }
 
@@ -45,81 +47,97 @@ pub const ALL: &[Attack] = &[
     Attack {
         name: "transfers",
         about: "16 connections to the model transfer send one byte each and wait",
+        takes_seats: false,
         run: |t| Box::pin(connections::transfers(t, 16)),
     },
     Attack {
         name: "transfers-150",
         about: "150 connections to the model transfer send one byte each and wait",
+        takes_seats: false,
         run: |t| Box::pin(connections::transfers(t, 150)),
     },
     Attack {
         name: "handshakes",
         about: "100 half-open handshakes per second from one address",
+        takes_seats: false,
         run: |t| Box::pin(connections::handshakes(t)),
     },
     Attack {
         name: "cut",
         about: "a trainee requests 12 cuts of 22 points in a zigzag, where its tool never was",
+        takes_seats: false,
         run: |t| Box::pin(requests::cuts(t)),
     },
     Attack {
         name: "tools",
         about: "8 trainees drop and resume with another tool, to fill the operation log",
+        takes_seats: false,
         run: |t| Box::pin(joins::tools(t)),
     },
     Attack {
         name: "delay",
         about: "a spectator reports a delay requirement of 399 ms every 100 ms",
+        takes_seats: false,
         run: |t| Box::pin(reports::spectator(t)),
     },
     Attack {
         name: "delay-trainee",
         about: "a trainee reports a delay requirement of 399 ms every 100 ms",
+        takes_seats: false,
         run: |t| Box::pin(reports::trainee(t)),
     },
     Attack {
         name: "seats",
         about: "spectators join and drop 16 times in 2.5 s, again and again",
+        takes_seats: false,
         run: |t| Box::pin(joins::seats(t)),
     },
     Attack {
         name: "slow-reader",
         about: "a spectator never reads its stream and sends 200 requests per second",
+        takes_seats: false,
         run: |t| Box::pin(requests::slow_reader(t)),
     },
     Attack {
         name: "names",
         about: "spectators join under names that look like that of another participant",
+        takes_seats: false,
         run: |t| Box::pin(names::names(t)),
     },
     Attack {
         name: "crowd",
         about: "100 attackers with spectator links join, drop, report, probe and never read",
+        takes_seats: true,
         run: |t| Box::pin(crowd::crowd(t)),
     },
     Attack {
         name: "poses",
         about: "a trainee's tool jumps between two places in the tissue, 250 times per second",
+        takes_seats: false,
         run: |t| Box::pin(tool_motion::jumps(t)),
     },
     Attack {
         name: "future",
         about: "a trainee stamps its samples 0.4 s ahead and 0.4 s late in turn, and claims lateness",
+        takes_seats: false,
         run: |t| Box::pin(tool_motion::wrong_times(t)),
     },
     Attack {
         name: "big-tools",
-        about: "four trainees hold plates of 500 mm inside the tissue and turn them",
+        about: "four trainees swing the largest plates close over the tissue, ten times per second",
+        takes_seats: false,
         run: |t| Box::pin(tool_motion::big_tools(t)),
     },
     Attack {
         name: "flapping",
         about: "four trainees resume their seats over a new connection ten times per second",
+        takes_seats: false,
         run: |t| Box::pin(joins::flapping(t)),
     },
     Attack {
         name: "flood",
         about: "four spectators send as many datagrams as the transport allows",
+        takes_seats: false,
         run: |t| Box::pin(crowd::flood(t)),
     },
 ];

@@ -1,12 +1,13 @@
 //! Attacks with the motion of tools.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 use std::time::Duration;
 
+use nalgebra::UnitQuaternion;
 use palpate_protocol::datagram::Body;
 use palpate_protocol::lateness::Lateness;
-use palpate_protocol::tool::{ToolDescription, ToolKind};
+use palpate_protocol::tool::{TOOL_LENGTH_MAX_M, ToolDescription, ToolKind};
 use palpate_protocol::{Pose, Span, ToolSample, ToolTrack};
 use palpate_tissue::Vec3;
 use tokio::time::{Instant, sleep};
@@ -22,13 +23,17 @@ const SAMPLES: i64 = 4;
 /// Depth of the tools below the surface, m.
 const DEPTH_M: f64 = 0.01;
 
-/// Error of the time stamps; the server ignores samples 0.5 s ahead.
+/// Height of a tool that does not touch, m.
+const CLEAR_M: f64 = 0.05;
+
+/// Error of the time stamps.
 const WRONG_BY: Span = Span::from_millis(400);
 
-/// Tools that are much larger than the tissue, their size, m, and their turns per second.
+/// Plates over the tissue: their height and swing, m, and their swings per second (2.8 m/s at most).
 const BIG_TOOLS: usize = 4;
-const BIG_M: f64 = 0.5;
-const TURNS_PER_S: f64 = 0.5;
+const HOVER_M: f64 = 0.005;
+const SWING_M: f64 = 0.045;
+const TURNS_PER_S: f64 = 10.0;
 
 /// Motion at one instant: the pose, the offset of the time stamps, and the claimed lateness.
 struct Moment {
@@ -102,7 +107,13 @@ pub(super) async fn jumps(target: Arc<Target>) {
 
 /// Time stamps that are ahead of the server's clock and behind it, with claims that the machine was late.
 pub(super) async fn wrong_times(target: Arc<Target>) {
-    let pose = inside(&target.spot(0), Pose::IDENTITY.orientation);
+    // Above the tissue, which any tool may push away from the hands.
+    let spot = target.spot(0);
+    let at: Vec3 = spot.at + spot.normal * CLEAR_M;
+    let pose = Pose {
+        position_m: at.into(),
+        ..Pose::IDENTITY
+    };
     let tool = ToolDescription::probe(0.01);
     moving(&target, "wrong-times", tool, |n| match n / 250 % 3 {
         0 => Moment {
@@ -124,7 +135,8 @@ pub(super) async fn wrong_times(target: Arc<Target>) {
     .await;
 }
 
-/// Large plates that turn inside the tissue.
+/// The largest plates, tangential over the surface, moving to and fro without touching it: every site searches for
+/// their first touch. Plates in the tissue would push it away from the hands, as any tool may.
 pub(super) async fn big_tools(target: Arc<Target>) {
     at_once(BIG_TOOLS, |i| {
         let target = Arc::clone(&target);
@@ -133,13 +145,20 @@ pub(super) async fn big_tools(target: Arc<Target>) {
             let tool = ToolDescription {
                 kind: ToolKind::Plate,
                 radius_m: 1e-3,
-                length_m: BIG_M,
-                width_m: BIG_M,
+                length_m: TOOL_LENGTH_MAX_M,
+                width_m: TOOL_LENGTH_MAX_M,
             };
+            let turn = UnitQuaternion::rotation_between(&Vec3::z(), &spot.normal);
+            let turn = turn.unwrap_or_else(|| UnitQuaternion::new(Vec3::x() * PI));
+            let aside = turn * Vec3::x();
+            let orientation = turn.coords.into();
             moving(&target, &format!("plate-{i}"), tool, |n| {
-                let turns = n as f64 * MOTION_EVERY.as_secs_f64() * TURNS_PER_S;
-                let half = 0.5 * TAU * turns;
-                honest(inside(&spot, [half.sin(), 0.0, 0.0, half.cos()]))
+                let phase = n as f64 * MOTION_EVERY.as_secs_f64() * TURNS_PER_S * TAU;
+                let at = spot.at + spot.normal * HOVER_M + aside * (SWING_M * phase.sin());
+                honest(Pose {
+                    position_m: at.into(),
+                    orientation,
+                })
             })
             .await;
         }
