@@ -67,7 +67,7 @@ impl Tool {
             return refuse("tool.radius_mm", self.radius_m, "must be 0.1 to 100");
         }
         let is_side = |m: f64| m > 0.0 && m <= LENGTH_MAX_M;
-        let some = "must be above 0 and at most 500";
+        let some = "must be above 0 and at most 200";
         let (long, wide) = (self.length_m, self.width_m);
         match self.kind {
             ToolKind::Probe if long != 0.0 => refuse(

@@ -49,7 +49,7 @@ fn room_with(seats: u16, start_when_tools: u16, mode: CompensationMode) -> Simul
     SimulatedRoom::new(model(), config, ServerTime::ZERO)
 }
 
-fn config(seats: u16, start_when_tools: u16, mode: CompensationMode) -> RoomConfig {
+pub(crate) fn config(seats: u16, start_when_tools: u16, mode: CompensationMode) -> RoomConfig {
     RoomConfig {
         epoch: Epoch(1),
         model: ModelInfo {

@@ -332,8 +332,10 @@ impl Reconnector {
             return;
         };
         let away = now - outage.began;
-        let is_new_seat = std::mem::take(&mut self.is_seat_gone);
-        if is_new_seat && welcome.epoch != self.epoch {
+        // A role without a tool also gets a new seat where only the old one had expired.
+        let is_same_seat = welcome.resume_token.matches(&self.seat.token);
+        let is_new_seat = std::mem::take(&mut self.is_seat_gone) || !is_same_seat;
+        if welcome.epoch != self.epoch {
             let why = "the server has begun another session; join again".to_owned();
             return self.close(CloseReason::ConnectionLost(why), Farewell::Final);
         }

@@ -10,6 +10,10 @@ use palpate_protocol::{ParticipantId, ServerTime, Span, ToolSample};
 
 use super::ToolAt;
 
+/// Participants at most: those present, and as many whose leave a view has not reached, because a join counts at once and
+/// a leave D later.
+const SEATS_SHOWN_MAX: usize = 2 * ROSTER_MAX;
+
 /// Age of samples from which an extrapolated pose differs from the server's: twice the gap that the artificial delay
 /// leaves.
 const BRIDGED_MAX: Span = Span::from_micros(2 * BRIDGE.as_micros());
@@ -54,12 +58,12 @@ impl Roster {
         roster
     }
 
-    /// Adds a participant. A known participant keeps the tool's timeline. Entries beyond [`ROSTER_MAX`] are ignored;
-    /// no server admits more.
+    /// Adds a participant. A known participant keeps the tool's timeline. Entries beyond [`SEATS_SHOWN_MAX`]
+    /// are ignored.
     pub fn join(&mut self, entry: RosterEntry) {
         if let Some(seat) = self.seats.get_mut(&entry.participant) {
             (seat.name, seat.tool) = (entry.name, entry.tool);
-        } else if self.seats.len() < ROSTER_MAX {
+        } else if self.seats.len() < SEATS_SHOWN_MAX {
             let seat = Seat {
                 name: entry.name,
                 tool: entry.tool,

@@ -21,9 +21,9 @@ use crate::drive::{Commands, DriverStats, Machine, drive};
 use crate::slots::Slot;
 
 /// Capacity of a peer's reliable queue: the longest log that a room sends to a new participant, 25,000
-/// operations, plus messages meanwhile. Beyond it the peer is closed. An entry has at most 64 bytes beside
-/// the operation that it shares; a full queue takes 1.6 MB.
-pub const RELIABLE_QUEUE_MAX: usize = 25_000;
+/// operations, and 2,000 messages meanwhile. Beyond it the peer is closed. An entry has at most 64 bytes beside
+/// the operation that it shares; a full queue takes 1.7 MB.
+pub const RELIABLE_QUEUE_MAX: usize = 27_000;
 
 /// The size of an entry of the queue, bytes.
 const ENTRY_BYTES_MAX: usize = 64;

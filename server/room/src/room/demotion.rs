@@ -168,7 +168,7 @@ impl Room {
     fn path_delays(&mut self) -> Vec<PathDelay> {
         let is_active = |p: &&Participant| p.peer().is_some() && p.tool.is_some();
         let here = || self.participants.values().filter(is_active);
-        let uplink = |p: &Participant| p.delay.report().map(|r| wanted_now(&r, p));
+        let uplink = |p: &Participant| p.explained_uplink().map(|r| wanted_now(&r, p));
         let mut path_delays = Vec::new();
         for p in here() {
             let wanted = p.report.map(|(_, r)| wanted_now(&r, p));

@@ -189,7 +189,13 @@ impl Room {
     fn seat(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
         let id = self.fresh_number();
         let token = (self.config.fresh_token)(id);
-        let cuts = CutBudget::new(self.departed_log, now);
+        // No trainee who left takes space from an instructor.
+        let inherited = if hello.role == Role::Instructor {
+            0
+        } else {
+            self.departed_log
+        };
+        let cuts = CutBudget::new(inherited, now);
         let cap = self.config.cap();
         let participant = Participant::new(peer, token, id, hello, cap, cuts, now);
         let RosterEntry {
@@ -275,8 +281,9 @@ impl Room {
         let state = (self.log.last_before(next)).map_or((0, self.hashes[0]), |last| {
             (last.topology_version_after, last.hash_after)
         });
-        let is_ours =
-            next <= self.log.next() && state == (resume.topology_version, resume.topology_hash);
+        let is_ours = next <= self.log.next()
+            && next >= self.log.complete_from()
+            && state == (resume.topology_version, resume.topology_hash);
         if is_ours { next } else { OperationId(0) }
     }
 
@@ -389,5 +396,31 @@ impl Room {
         for who in over {
             self.remove_seat(who, LeaveReason::Silent, now);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_protocol::operation::CompensationMode;
+    use palpate_protocol::{Role, TopologyHash};
+
+    use super::*;
+    use crate::tests::config;
+
+    #[test]
+    fn numbers_of_seats_and_of_the_log_are_not_given_again() {
+        let config = config(8, 1, CompensationMode::None);
+        let mut room = Room::new(TopologyHash(0), config, ServerTime::ZERO);
+        room.next_participant = u16::MAX;
+        assert_eq!(room.fresh_number(), ParticipantId(u16::MAX));
+        assert_eq!(room.fresh_number(), ParticipantId(1), "0 is the server");
+        let reason = LeaveReason::Left;
+        let participant = ParticipantId(2);
+        let kind = OperationKind::Left {
+            participant,
+            reason,
+        };
+        room.append(participant, kind, ServerTime::ZERO);
+        assert_eq!(room.fresh_number(), ParticipantId(3));
     }
 }

@@ -260,13 +260,13 @@ fn names_that_look_alike_are_taken() {
 }
 
 #[test]
-fn hours_of_joins_and_reconnects_leave_the_log_to_cuts() {
+fn floods_of_joins_and_losses_leave_the_log_to_cuts() {
     let mut hall = Hall::new(16, 8);
     assert_eq!(hall.join(1, "ann", Role::Trainee, ms(0)), None);
     let mut peer = 100;
-    for second in 1..7200 {
+    for second in 1..1200 {
         let now = ms(1000 * second);
-        for _ in 0..2 {
+        for _ in 0..12 {
             for role in [Role::Trainee, Role::Spectator] {
                 peer += 1;
                 hall.join(peer, &format!("x{peer}"), role, now);
@@ -275,13 +275,14 @@ fn hours_of_joins_and_reconnects_leave_the_log_to_cuts() {
         }
         hall.tick(now);
     }
-    let now = ms(7_200_000);
+    let now = ms(1_200_000);
     assert!(hall.room.operation_count() > 10_000);
     let kept = hall
         .room
         .operations_since(palpate_protocol::OperationId(0))
         .len();
-    assert!(kept < 600, "{kept} operations");
+    // Ten joins per second of each class, three operations each, for 70 s.
+    assert!(kept < 4600, "{kept} operations");
     assert_eq!(hall.cut(1, 1, now), None);
     assert_eq!(hall.room.topology().0, 1);
     assert!(hall.room.limits().of(Limit::Busy) > 0);
