@@ -61,10 +61,10 @@ pub(crate) fn put_in_place(staged: Vec<Staged>, read: &[&Path]) -> Result<(), Se
 
 /// Rejects destinations that equal an input file or each other.
 pub(crate) fn keep_apart(places: &[&Path], read: &[&Path]) -> Result<(), ServerError> {
-    let read: Vec<PathBuf> = read.iter().map(|p| place(p)).collect();
+    let read: Vec<PathBuf> = read.iter().map(|p| resolved(p)).collect();
     let mut taken: Vec<PathBuf> = Vec::new();
     for path in places {
-        let place = place(path);
+        let place = resolved(path);
         let why = if read.contains(&place) {
             "is an input of this command and would be overwritten"
         } else if taken.contains(&place) {
@@ -82,7 +82,7 @@ pub(crate) fn keep_apart(places: &[&Path], read: &[&Path]) -> Result<(), ServerE
 }
 
 /// A canonical path that is equal for all names of one file, whether it exists or not.
-fn place(path: &Path) -> PathBuf {
+fn resolved(path: &Path) -> PathBuf {
     let known = path.canonicalize().ok();
     let beside = || {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty());

@@ -11,7 +11,7 @@ use palpate_device::{Calibration, ClockOwner, DeviceCaps, DeviceTime, HapticDevi
 use palpate_protocol::Span;
 use serde_json::json;
 
-use super::{DeviceChoice, DeviceKind, Guide, Sources, open, owned, plot};
+use super::{DeviceKind, DeviceSelection, Guide, Sources, open, owned, plot};
 use crate::program::{complain, print};
 use crate::realtime::{device_time, monotonic_now, sleep_until};
 
@@ -55,7 +55,7 @@ enum Command {
     /// Run the conformance suite of haptic devices and print its table
     Test {
         /// The device; haply:ID if several are connected
-        device: DeviceChoice,
+        device: DeviceSelection,
         /// Print the table as one JSON object
         #[arg(long)]
         json: bool,
@@ -63,7 +63,7 @@ enum Command {
     /// Run the automatic part of the calibration and print the remaining manual steps
     Calibrate {
         /// The device; haply:ID if several are connected
-        device: DeviceChoice,
+        device: DeviceSelection,
     },
     /// Plot the workspace of a device (SVG)
     Plot {
@@ -106,7 +106,7 @@ pub(crate) fn run(arguments: DevicesArguments) -> ExitCode {
 type Done = Result<(), String>;
 
 /// A device at rest.
-fn at_rest(choice: &DeviceChoice) -> Result<Box<dyn HapticDevice>, String> {
+fn at_rest(choice: &DeviceSelection) -> Result<Box<dyn HapticDevice>, String> {
     let sources = Sources::from_environment();
     let guide = if choice.kind.is_held() {
         Guide::held(None, choice.kind)
@@ -122,7 +122,7 @@ fn list(json: bool) -> Done {
     for (kind, sentence) in DeviceKind::ALL {
         let found = owned::find(kind, &sources).map_err(|why| why.to_string());
         let several = found.as_ref().is_ok_and(|found| found.len() > 1);
-        let choice = DeviceChoice { kind, which: None };
+        let choice = DeviceSelection { kind, which: None };
         let opened = match &found {
             Err(why) => Err(why.clone()),
             // With several devices the choice is ambiguous, so none is opened.
@@ -252,7 +252,7 @@ fn calibration_word(calibration: Calibration) -> &'static str {
     }
 }
 
-fn test(choice: &DeviceChoice, json: bool) -> Done {
+fn test(choice: &DeviceSelection, json: bool) -> Done {
     let kind = choice.kind;
     let mut device = at_rest(choice)?;
     let (mut us, mut due) = (0, monotonic_now());
@@ -294,7 +294,7 @@ fn as_json(kind: DeviceKind, report: &Report) -> serde_json::Value {
     json!({ "device": kind.word(), "passed": report.passed(), "laws": rows.collect::<Vec<_>>() })
 }
 
-fn calibrate(choice: &DeviceChoice) -> Done {
+fn calibrate(choice: &DeviceSelection) -> Done {
     let kind = choice.kind;
     let mut device = at_rest(choice)?;
     let state = device

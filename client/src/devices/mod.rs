@@ -1,13 +1,13 @@
 //! The supported haptic devices: their kinds, opening one, and commands outside of a session.
 
-mod choice;
 mod command;
 mod guide;
-mod hold;
+mod held_device;
 mod input;
 mod owned;
 mod plot;
 mod script_tool;
+mod selection;
 
 use clap::ValueEnum;
 use palpate_device::backend::five_dof;
@@ -16,12 +16,12 @@ use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::{HapticDevice, OpenError};
 use serde::Serialize;
 
-pub(crate) use choice::DeviceChoice;
 pub(crate) use command::{DevicesArguments, run};
 pub(crate) use guide::{Guide, Moves};
-pub(crate) use hold::HeldDevice;
+pub(crate) use held_device::HeldDevice;
 pub use owned::Sources;
 pub use script_tool::tool_description;
+pub(crate) use selection::DeviceSelection;
 
 /// Kinds of supported devices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
@@ -174,7 +174,7 @@ pub enum DeviceError {
 /// Opens a device with its guide. A held motorised device stays in its own frame until [`HeldDevice::placed`] places it in
 /// the scene.
 pub(crate) fn open(
-    choice: &DeviceChoice,
+    choice: &DeviceSelection,
     guide: &Guide,
     start: ScriptStart,
     sources: &Sources,
@@ -217,11 +217,11 @@ mod tests {
 
     use palpate_device::HapticDevice;
 
-    use super::{DeviceChoice, DeviceError, DeviceKind, Guide, ScriptStart, Sources, open};
+    use super::{DeviceError, DeviceKind, DeviceSelection, Guide, ScriptStart, Sources, open};
 
     /// Result of opening a device of this kind without vendor files.
     fn opened(kind: DeviceKind, guide: &Guide) -> Result<Box<dyn HapticDevice>, DeviceError> {
-        let choice = DeviceChoice { kind, which: None };
+        let choice = DeviceSelection { kind, which: None };
         open(&choice, guide, ScriptStart::not_yet(), &Sources::default())
     }
 

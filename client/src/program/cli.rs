@@ -11,7 +11,7 @@ use palpate_transport::state::state_folder;
 
 use super::link_source::LinkArguments;
 use super::output::{complain, print};
-use crate::devices::{self, DeviceChoice, DevicesArguments, Sources};
+use crate::devices::{self, DeviceSelection, DevicesArguments, Sources};
 use crate::{ClientError, JoinOptions, StartAt, StatusKind, Summary, run as join};
 
 /// Maximum duration, s: one day. A larger number is probably in milliseconds.
@@ -107,7 +107,7 @@ struct JoinArguments {
     /// The device to hold, for roles with a tool: an entry of `devices` (haply, or haply:ID if several are
     /// connected), or auto: sim with --script, replay with --motion, otherwise the best connected device
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
-    device: DeviceChoice,
+    device: DeviceSelection,
     /// Script of the simulated hand, used with or without a simulated device (a TOML file)
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,

@@ -14,7 +14,7 @@ use palpate_transport::threads::{ThreadClass, cpu_time, join, leave, without_rea
 
 use super::status::{Status, fetch_progress, retry_lines};
 use super::supervision::Supervision;
-use crate::devices::{self, DeviceChoice, Guide, tool_description};
+use crate::devices::{self, DeviceSelection, Guide, tool_description};
 use crate::network::{Joining, MotionThread, Network, SeatFile};
 use crate::realtime::{HapticHandle, RealtimeConfig, monotonic_now, spawn};
 use crate::recording::{HAPTIC_POINTS_MAX, Recording};
@@ -100,7 +100,7 @@ fn open(
     guide: &Guide,
     start: ScriptStart,
 ) -> Result<Box<dyn HapticDevice>, ClientError> {
-    let choice = DeviceChoice {
+    let choice = DeviceSelection {
         kind: options.device,
         which: options.device_id.clone(),
     };

@@ -91,7 +91,7 @@ pub(super) struct Anchor {
 
 impl Anchor {
     /// The predicted pose of the tool `after` steps of time after the newest sample.
-    fn ahead(&self, after: i64) -> Point {
+    fn extrapolated(&self, after: i64) -> Point {
         let after = after.clamp(0, FAR_UNITS);
         self.moved(after * LEAD_UNITS / (after + LEAD_UNITS))
     }
@@ -369,7 +369,7 @@ fn code_points(
         Some(anchor) => {
             let after = points[last].time.saturating_sub(anchor.newest.time);
             m.expect(after);
-            code_point(c, m, 0, &anchor.ahead(after), points[last])?
+            code_point(c, m, 0, &anchor.extrapolated(after), points[last])?
         }
         None => code_whole(c, points[last])?,
     };

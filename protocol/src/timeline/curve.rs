@@ -67,7 +67,7 @@ impl Curve {
             let (pose, velocity) = self.between(i, t);
             return Some((pose, velocity, here, Source::Interpolated));
         }
-        let (pose, velocity) = self.beyond(i, t);
+        let (pose, velocity) = self.extrapolated(i, t);
         Some((pose, velocity, here, Source::Extrapolated))
     }
 
@@ -81,7 +81,7 @@ impl Curve {
     }
 
     /// The sample one window before number `i`, or the oldest within reach.
-    fn behind(&self, i: usize) -> Option<usize> {
+    fn previous(&self, i: usize) -> Option<usize> {
         let edge = self.samples[i].time - Span::from_secs_f64(WINDOW_S);
         let j = self
             .samples
@@ -97,7 +97,7 @@ impl Curve {
     }
 
     /// The sample one window after number `i`, or the newest within reach.
-    fn ahead(&self, i: usize) -> Option<usize> {
+    fn next(&self, i: usize) -> Option<usize> {
         let edge = self.samples[i].time + Span::from_secs_f64(WINDOW_S);
         let last = self.samples.len() - 1;
         let j = self.samples.partition_point(|s| s.time < edge).min(last);
@@ -180,7 +180,7 @@ impl Curve {
     /// From one window before a sample to one after it.
     fn velocity_at(&self, i: usize) -> Vec3 {
         let origin = self.samples[i].time;
-        let (before, after) = (self.behind(i).unwrap_or(i), self.ahead(i).unwrap_or(i));
+        let (before, after) = (self.previous(i).unwrap_or(i), self.next(i).unwrap_or(i));
         if before == after {
             return [0.0; 3];
         }
@@ -200,7 +200,7 @@ impl Curve {
                     let next = Some(i + 2).filter(|p| *p < self.samples.len());
                     (i.checked_sub(1), next)
                 } else {
-                    (self.behind(i), self.ahead(i + 1))
+                    (self.previous(i), self.next(i + 1))
                 };
                 let a0 = before.map(|m| verlet::acceleration(self.knot(m, s0.time), k0, k1));
                 let a1 = after.map(|p| verlet::acceleration(k0, k1, self.knot(p, s0.time)));
@@ -238,9 +238,9 @@ impl Curve {
         )
     }
 
-    fn beyond(&self, i: usize, t: ServerTime) -> (Pose, Vec3) {
+    fn extrapolated(&self, i: usize, t: ServerTime) -> (Pose, Vec3) {
         let newest = &self.samples[i];
-        let Some(m) = self.behind(i).filter(|_| self.method != Method::Hold) else {
+        let Some(m) = self.previous(i).filter(|_| self.method != Method::Hold) else {
             return (newest.pose, [0.0; 3]);
         };
         let (km, k1) = (self.knot(m, newest.time), self.knot(i, newest.time));
@@ -282,7 +282,7 @@ impl Curve {
             }
             Method::Linear | Method::VerletRaw => straight,
             Method::Hermite => {
-                let before = self.behind(i).and_then(|m| self.fit_before(m, newest));
+                let before = self.previous(i).and_then(|m| self.fit_before(m, newest));
                 let (Some(v0), Some(v1)) = (before, self.fit_before(i, newest)) else {
                     return straight;
                 };

@@ -13,8 +13,14 @@ use crate::memory::Memory;
 /// Allowed growth of force error and playout delay D, relative to the run without attack.
 const GROWTH: f64 = 1.1;
 
-/// Allowed growth of the force error, percentage points, where [`GROWTH`] allows less: two runs differ by that.
+/// Allowed growth of the force error in a run of 30 s, percentage points, where [`GROWTH`] allows less: two runs
+/// differ by that.
 const FORCE_FLOOR_PERCENT: f64 = 1.0;
+
+/// The same for a run of this length: the mean of fewer presses and cuts scatters more, with the root of the time.
+fn force_floor_percent(seconds: f64) -> f64 {
+    FORCE_FLOOR_PERCENT * (30.0 / seconds).sqrt().max(1.0)
+}
 
 /// Allowed growth of D, ms, where [`GROWTH`] allows less.
 pub(super) const DELAY_FLOOR_MS: f64 = 2.0;
@@ -183,7 +189,7 @@ fn relative(
 }
 
 /// The criteria of a run under attack.
-pub(super) fn judge(run: &Figures, base: &Figures) -> Vec<Criterion> {
+pub(super) fn judge(run: &Figures, base: &Figures, seconds: f64) -> Vec<Criterion> {
     let label = run.label();
     let named = |what: &str| format!("{label}: {what}");
     let mut table = Vec::new();
@@ -194,7 +200,7 @@ pub(super) fn judge(run: &Figures, base: &Figures) -> Vec<Criterion> {
             named(&format!("force error of the {name}")),
             hand.as_ref().and_then(|h| h.force_error_percent),
             quiet.as_ref().and_then(|h| h.force_error_percent),
-            FORCE_FLOOR_PERCENT,
+            force_floor_percent(seconds),
             "%",
         ));
         let longest_ms = quiet.and_then(|h| h.longest_dropout_ms);
@@ -323,7 +329,7 @@ mod tests {
     }
 
     fn failed(run: &Figures) -> Vec<String> {
-        let judged = judge(run, &good());
+        let judged = judge(run, &good(), 30.0);
         let failed = judged.into_iter().filter(|c| !c.ok);
         failed.map(|c| c.criterion).collect()
     }
@@ -339,10 +345,10 @@ mod tests {
             attacks: vec!["delay"],
             ..Figures::default()
         };
-        let all = judge(&missing, &good());
+        let all = judge(&missing, &good(), 30.0);
         // No process failed, although nothing was measured.
         assert_eq!(all.iter().filter(|c| c.ok).count(), 1, "{all:?}");
-        let all = judge(&good(), &Figures::default());
+        let all = judge(&good(), &Figures::default(), 30.0);
         assert_eq!(all.iter().filter(|c| !c.ok).count(), 5, "{all:?}");
     }
 

@@ -132,7 +132,7 @@ pub fn run(
                 ..Figures::default()
             },
         };
-        progress.stage(&verdict::line(&run, &base));
+        progress.stage(&verdict::line(&run, &base, options.seconds));
         runs.push(run);
     }
     let nodes = arena.pair.test_model.model.nodes.len();

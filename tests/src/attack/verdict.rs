@@ -40,7 +40,8 @@ impl AttackReport {
         runs: Vec<Figures>,
         notes: Vec<String>,
     ) -> Self {
-        let criteria: Vec<Criterion> = runs.iter().flat_map(|run| judge(run, &base)).collect();
+        let judged = |run| judge(run, &base, options.seconds);
+        let criteria: Vec<Criterion> = runs.iter().flat_map(judged).collect();
         let failed = criteria.iter().filter(|c| !c.ok);
         let missed: Vec<String> = failed.map(Criterion::to_string).collect();
         Self {
@@ -58,8 +59,8 @@ impl AttackReport {
 }
 
 /// The result of one run in a line.
-pub(super) fn line(run: &Figures, base: &Figures) -> String {
-    let failed = judge(run, base).iter().filter(|c| !c.ok).count();
+pub(super) fn line(run: &Figures, base: &Figures, seconds: f64) -> String {
+    let failed = judge(run, base, seconds).iter().filter(|c| !c.ok).count();
     let verdict = match failed {
         0 => "withstood".to_owned(),
         n => format!("{n} criteria FAILED"),

@@ -112,7 +112,7 @@ mod tests {
 
     use super::*;
 
-    fn place(number: u8, lever: Vec3, force: Vec3) -> ContactPatch {
+    fn patch_at(number: u8, lever: Vec3, force: Vec3) -> ContactPatch {
         ContactPatch {
             number,
             lever,
@@ -160,7 +160,7 @@ mod tests {
                 .into_iter()
                 .map(|contact_patches| {
                     let numbered = contact_patches.into_iter().enumerate();
-                    reaction(numbered.map(|(n, (l, f))| place(n as u8, l.into(), f.into())).collect())
+                    reaction(numbered.map(|(n, (l, f))| patch_at(n as u8, l.into(), f.into())).collect())
                 })
                 .collect();
             let of: Vec<&Reaction> = parts.iter().collect();
@@ -181,7 +181,7 @@ mod tests {
     fn tangential_stiffness_follows_from_indentation_alone() {
         let learned = |k: f64| Reaction {
             stiffness: Matrix3::from_diagonal_element(k),
-            ..reaction(vec![place(0, Vec3::zeros(), Vec3::z() * 0.2)])
+            ..reaction(vec![patch_at(0, Vec3::zeros(), Vec3::z() * 0.2)])
         };
         let tie =
             |r: &Reaction| contact_model(ClientTime::ZERO, 1, &[r]).touches[0].tangential_stiffness;
@@ -194,7 +194,7 @@ mod tests {
     fn tool_without_contact_is_free() {
         let nothing = Reaction {
             contacts: 0,
-            ..reaction(vec![place(0, Vec3::zeros(), Vec3::z())])
+            ..reaction(vec![patch_at(0, Vec3::zeros(), Vec3::z())])
         };
         let model = contact_model(ClientTime::ZERO, 1, &[&nothing]);
         assert!(!model.in_contact() && model.is_usable());

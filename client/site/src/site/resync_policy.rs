@@ -128,7 +128,12 @@ mod tests {
     }
 
     /// Feeds comparisons ten times a second; returns the times of resync requests.
-    fn asked(resync: &mut ResyncPolicy, from_ms: i64, until_ms: i64, max_m: f64) -> Vec<i64> {
+    fn resync_times(
+        resync: &mut ResyncPolicy,
+        from_ms: i64,
+        until_ms: i64,
+        max_m: f64,
+    ) -> Vec<i64> {
         let times = (from_ms..until_ms).step_by(100);
         times
             .filter(|t| resync.handle_drift(view(*t), max_m, at(*t)) == ResyncDecision::Resync)
@@ -138,10 +143,10 @@ mod tests {
     #[test]
     fn drift_of_one_second_requests_resync() {
         let mut resync = ResyncPolicy::default();
-        assert_eq!(asked(&mut resync, 0, 1000, 0.6e-3), [0; 0]);
-        assert_eq!(asked(&mut resync, 1000, 1100, 0.4e-3), [0; 0]);
-        assert_eq!(asked(&mut resync, 1100, 2050, 0.6e-3), [0; 0]);
-        assert_eq!(asked(&mut resync, 2100, 2200, 0.6e-3), [2100]);
+        assert_eq!(resync_times(&mut resync, 0, 1000, 0.6e-3), [0; 0]);
+        assert_eq!(resync_times(&mut resync, 1000, 1100, 0.4e-3), [0; 0]);
+        assert_eq!(resync_times(&mut resync, 1100, 2050, 0.6e-3), [0; 0]);
+        assert_eq!(resync_times(&mut resync, 2100, 2200, 0.6e-3), [2100]);
     }
 
     #[test]
@@ -166,7 +171,7 @@ mod tests {
     #[test]
     fn nan_drift_exceeds_limit() {
         let mut resync = ResyncPolicy::default();
-        assert_eq!(asked(&mut resync, 0, 1100, f64::NAN), [1000]);
+        assert_eq!(resync_times(&mut resync, 0, 1100, f64::NAN), [1000]);
     }
 
     proptest! {

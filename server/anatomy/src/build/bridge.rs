@@ -39,7 +39,7 @@ pub(super) fn build_bridges(grid: &Grid, labels: &mut Labels, walls: &Walls) -> 
                 continue;
             };
             for cell in way {
-                labels.hold(cell, own.label);
+                labels.fix_label(cell, own.label);
                 piece_of[cell] = piece;
             }
             bridges += 1;

@@ -31,7 +31,7 @@ pub(super) struct Labels {
 
 impl Labels {
     /// Gives a cell to a region that it connects; it is the last candidate for another flip.
-    pub(super) fn hold(&mut self, cell: usize, label: u8) {
+    pub(super) fn fix_label(&mut self, cell: usize, label: u8) {
         self.second[cell] = self.label[cell];
         self.label[cell] = label;
         self.held.insert(cell);

@@ -118,7 +118,7 @@ pub fn build(
     let interfaces =
         patch::Interfaces::new(&surfaces, &input.sides, &query, spacing, grid.middle());
     let faces = faces::faces(&lattice.cells);
-    let placed = place(
+    let placed = position_nodes(
         &grid,
         &mut lattice,
         &Input {
@@ -239,7 +239,7 @@ struct Placed {
 }
 
 /// Snaps, relaxes, untangles, and restores the volumes.
-fn place(
+fn position_nodes(
     grid: &Grid,
     lattice: &mut lattice::Lattice,
     input: &Input<'_>,

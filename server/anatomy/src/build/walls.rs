@@ -219,7 +219,7 @@ impl Walls {
         let Some((_, _, taken, layer)) = best else {
             return false;
         };
-        labels.hold(taken, layer);
+        labels.fix_label(taken, layer);
         true
     }
 

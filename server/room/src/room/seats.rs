@@ -401,8 +401,8 @@ impl Room {
 
 #[cfg(test)]
 mod tests {
+    use palpate_protocol::TopologyHash;
     use palpate_protocol::operation::CompensationMode;
-    use palpate_protocol::{Role, TopologyHash};
 
     use super::*;
     use crate::tests::config;

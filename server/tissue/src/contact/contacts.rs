@@ -247,7 +247,7 @@ impl Contacts {
     }
 
     /// The samples along shapes `u + (s - at) by`.
-    pub(crate) fn along(&self, u: &[Vec3], by: impl Fn(u32) -> Vec3, at: f64) -> LineSearch {
+    pub(crate) fn line_search(&self, u: &[Vec3], by: impl Fn(u32) -> Vec3, at: f64) -> LineSearch {
         let moves: Vec<Vec3> = self.nodes.iter().map(|&n| by(n)).collect();
         let row = |sample: &Sample| {
             let by = blend(&sample.nodes.map(|n| moves[self.place(n)]), &sample.weights);

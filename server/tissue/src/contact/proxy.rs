@@ -11,10 +11,10 @@ use crate::Vec3;
 
 /// Maximum steps of the search for the first touch on a free path; a longer path counts as a jump.
 const MARCH_MAX: usize = 64;
-/// Maximum searches of all steps together, one per step and sampling point of the tool. A plate of 256 points then takes four
-/// steps, 1 m/s at 250 solves per second. Without this bound a large plate that hovers over the tissue costs every
+/// Maximum searches of all steps together, one per step and sampling point of the tool. A plate of 256 points then takes two
+/// steps, 0.5 m/s at 250 solves per second. Without this bound a large plate that hovers over the tissue costs every
 /// site 0.1 s per solve.
-const SEARCHES_MAX: usize = 1024;
+const SEARCHES_MAX: usize = 512;
 /// Maximum travel per iteration in contact, in radii (of at least half a spacing).
 const TRAVEL: f64 = 0.5;
 
@@ -172,7 +172,7 @@ impl Proxy {
         let spacing = surface.topology.model().spacing_m;
         let stride = TRAVEL * self.radius.max(0.5 * spacing);
         if !self.placed {
-            self.place(surface);
+            self.place(surface, f64::MAX);
             self.before = self.core;
         }
         let length = self.lag();
@@ -199,7 +199,8 @@ impl Proxy {
         let searches = self.points(spacing).len();
         if steps > MARCH_MAX.min(SEARCHES_MAX / searches) {
             self.set(there.0, there.1);
-            self.place(surface);
+            // Every point was outside, so the surface is no farther than its path.
+            self.place(surface, length + self.radius + spacing);
             return;
         }
         for s in 1..=steps {
@@ -215,8 +216,9 @@ impl Proxy {
         }
     }
 
-    /// Places a new tool at its pose, or outside the surface if it is inside.
-    fn place(&mut self, surface: &Surface<'_>) {
+    /// Places a new tool at its pose, or outside the surface if it is inside. The surface is searched up to `reach` m from
+    /// each point.
+    fn place(&mut self, surface: &Surface<'_>, reach: f64) {
         self.placed = true;
         self.touching = false;
         let spacing = surface.topology.model().spacing_m;
@@ -224,7 +226,7 @@ impl Proxy {
         let mut out = (0.0, Vec3::zeros());
         for point in self.points(spacing) {
             let at = self.core.at(point);
-            let Some(foot) = surface.nearest(at, f64::MAX) else {
+            let Some(foot) = surface.nearest(at, reach) else {
                 continue;
             };
             let away = at - foot.at;

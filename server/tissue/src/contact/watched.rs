@@ -1,4 +1,4 @@
-//! The watched surface near the tools: the lowest levels of the hierarchy, at current positions.
+//! The watched surface near the tools: the three lowest levels of the hierarchy, at current positions.
 
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::math::Vector;
@@ -9,6 +9,8 @@ use crate::{Topology, Vec3};
 
 /// Triangles per box; they are consecutive in the tree, hence neighbours.
 const GROUP: usize = 16;
+/// Groups per box of the level above.
+const CLUSTER: usize = 16;
 const NONE: u32 = u32::MAX;
 
 /// Triangles in groups, and boxes around them as they were at the last refit.
@@ -24,6 +26,8 @@ pub(crate) struct Watched {
     /// Current positions of the nodes in m.
     at: Vec<Vector>,
     groups: Vec<Group>,
+    /// Boxes around every [`CLUSTER`] groups.
+    clusters: Vec<[Vector; 2]>,
     /// Places in `nodes` of the corners of each group, one group after the other.
     shared: Vec<u32>,
     /// Place in `nodes` of every node of the model, while the lists are made.
@@ -47,6 +51,7 @@ impl Watched {
             nodes: Vec::new(),
             at: Vec::new(),
             groups: Vec::new(),
+            clusters: Vec::new(),
             shared: Vec::new(),
             place: vec![NONE; node_count],
         }
@@ -116,6 +121,14 @@ impl Watched {
                 group.maxs = group.maxs.max(at);
             }
         }
+        self.clusters.clear();
+        self.clusters
+            .extend(self.groups.chunks(CLUSTER).map(|groups| {
+                let around = |[mins, maxs]: [Vector; 2], group: &Group| {
+                    [mins.min(group.mins), maxs.max(group.maxs)]
+                };
+                groups.iter().fold([Vector::MAX, Vector::MIN], around)
+            }));
     }
 
     fn box_of(&self, i: usize) -> Aabb {
@@ -125,11 +138,16 @@ impl Watched {
 
     /// Whether any watched triangle whose box intersects the ball passes a test.
     pub(crate) fn any_near(&self, ball: &Ball, mut test: impl FnMut(u32) -> bool) -> bool {
-        for (group, triangles) in self.groups.iter().zip(self.ranges()) {
-            if ball.reaches(group.mins, group.maxs) {
-                for i in triangles {
-                    if ball.reaches_box(&self.box_of(i)) && test(self.triangles[i]) {
-                        return true;
+        for (cluster, &[mins, maxs]) in self.clusters.iter().enumerate() {
+            if !ball.reaches(mins, maxs) {
+                continue;
+            }
+            for (group, triangles) in self.groups_of(cluster) {
+                if ball.reaches(group.mins, group.maxs) {
+                    for i in triangles {
+                        if ball.reaches_box(&self.box_of(i)) && test(self.triangles[i]) {
+                            return true;
+                        }
                     }
                 }
             }
@@ -143,16 +161,21 @@ impl Watched {
         let mut best = (NONE, ball.radius * ball.radius);
         // Rounding of the boxes must not hide one of two triangles that share the nearest point.
         let too_far = |mins, maxs, best| ball.away(mins, maxs) * (1.0 - ROUNDING) > best;
-        for (group, triangles) in self.groups.iter().zip(self.ranges()) {
-            if too_far(group.mins, group.maxs, best.1) {
+        for (cluster, &[mins, maxs]) in self.clusters.iter().enumerate() {
+            if too_far(mins, maxs, best.1) {
                 continue;
             }
-            for i in triangles {
-                let b = self.box_of(i);
-                if !too_far(b.mins, b.maxs, best.1) {
-                    let (t, square) = (self.triangles[i], square(self.triangles[i]));
-                    if square < best.1 || (square == best.1 && t < best.0 && best.0 != NONE) {
-                        best = (t, square);
+            for (group, triangles) in self.groups_of(cluster) {
+                if too_far(group.mins, group.maxs, best.1) {
+                    continue;
+                }
+                for i in triangles {
+                    let b = self.box_of(i);
+                    if !too_far(b.mins, b.maxs, best.1) {
+                        let (t, square) = (self.triangles[i], square(self.triangles[i]));
+                        if square < best.1 || (square == best.1 && t < best.0 && best.0 != NONE) {
+                            best = (t, square);
+                        }
                     }
                 }
             }
@@ -160,12 +183,15 @@ impl Watched {
         (best.0 != NONE).then_some(best)
     }
 
-    /// The triangles of each group, as positions.
-    fn ranges(&self) -> impl Iterator<Item = std::ops::Range<usize>> {
+    /// The groups of a cluster, each with the positions of its triangles.
+    fn groups_of(&self, cluster: usize) -> impl Iterator<Item = (&Group, std::ops::Range<usize>)> {
+        let first = cluster * CLUSTER;
+        let last = (first + CLUSTER).min(self.groups.len());
         let count = self.triangles.len();
-        (0..count)
-            .step_by(GROUP)
-            .map(move |from| from..(from + GROUP).min(count))
+        (first..last).map(move |g| {
+            let range = g * GROUP..(g * GROUP + GROUP).min(count);
+            (&self.groups[g], range)
+        })
     }
 
     #[cfg(test)]
@@ -180,6 +206,7 @@ impl Watched {
             + (self.nodes.capacity() + self.shared.capacity()) * size_of::<u32>()
             + self.at.capacity() * size_of::<Vector>()
             + self.groups.capacity() * size_of::<Group>()
+            + self.clusters.capacity() * size_of::<[Vector; 2]>()
             + self.place.capacity() * size_of::<u32>()
     }
 }

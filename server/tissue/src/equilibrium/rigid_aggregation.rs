@@ -63,7 +63,7 @@ impl Solver {
             let found = increments.binary_search_by_key(&n, |m| m.0);
             found.map_or_else(|_| Vec3::zeros(), |i| increments[i].1)
         };
-        let mut along = self.contacts.along(u, by, 1.0);
+        let mut along = self.contacts.line_search(u, by, 1.0);
         if !self.uses(Mechanism::CoreGuard) {
             along.ignore_cores();
         }

@@ -2,12 +2,12 @@
 //! it achieves with `Target::count`, and sleeps between its steps; then add a row to [`ALL`].
 
 mod connections;
-mod crowd;
 mod half_open;
 mod joins;
 mod names;
 mod reports;
 mod requests;
+mod spectators;
 mod tool_motion;
 
 use std::collections::BTreeMap;
@@ -105,10 +105,10 @@ pub const ALL: &[Attack] = &[
         run: |t| Box::pin(names::names(t)),
     },
     Attack {
-        name: "crowd",
+        name: "spectators",
         about: "100 attackers with spectator links join, drop, report, probe and never read",
         takes_seats: true,
-        run: |t| Box::pin(crowd::crowd(t)),
+        run: |t| Box::pin(spectators::spectators(t)),
     },
     Attack {
         name: "poses",
@@ -138,7 +138,7 @@ pub const ALL: &[Attack] = &[
         name: "flood",
         about: "four spectators send as many datagrams as the transport allows",
         takes_seats: false,
-        run: |t| Box::pin(crowd::flood(t)),
+        run: |t| Box::pin(spectators::flood(t)),
     },
 ];
 

@@ -20,9 +20,6 @@ use crate::tool_location::SurfacePoint;
 const MOTION_EVERY: Duration = Duration::from_millis(4);
 const SAMPLES: i64 = 4;
 
-/// Depth of the tools below the surface, m.
-const DEPTH_M: f64 = 0.01;
-
 /// Height of a tool that does not touch, m.
 const CLEAR_M: f64 = 0.05;
 
@@ -42,11 +39,12 @@ struct Moment {
     late: Lateness,
 }
 
-fn inside(spot: &SurfacePoint, orientation: [f64; 4]) -> Pose {
-    let at: Vec3 = spot.at - spot.normal * DEPTH_M;
+/// Above the tissue, which any tool may push away from the hands.
+fn clear(spot: &SurfacePoint) -> Pose {
+    let at: Vec3 = spot.at + spot.normal * CLEAR_M;
     Pose {
         position_m: at.into(),
-        orientation,
+        ..Pose::IDENTITY
     }
 }
 
@@ -100,20 +98,14 @@ async fn moving(
 
 /// A tool that is at another place in every datagram.
 pub(super) async fn jumps(target: Arc<Target>) {
-    let places = [0, 1].map(|i| inside(&target.spot(i), Pose::IDENTITY.orientation));
+    let places = [0, 1].map(|i| clear(&target.spot(i)));
     let tool = ToolDescription::probe(0.01);
     moving(&target, "jumps", tool, |n| honest(places[(n % 2) as usize])).await;
 }
 
 /// Time stamps that are ahead of the server's clock and behind it, with claims that the machine was late.
 pub(super) async fn wrong_times(target: Arc<Target>) {
-    // Above the tissue, which any tool may push away from the hands.
-    let spot = target.spot(0);
-    let at: Vec3 = spot.at + spot.normal * CLEAR_M;
-    let pose = Pose {
-        position_m: at.into(),
-        ..Pose::IDENTITY
-    };
+    let pose = clear(&target.spot(0));
     let tool = ToolDescription::probe(0.01);
     moving(&target, "wrong-times", tool, |n| match n / 250 % 3 {
         0 => Moment {

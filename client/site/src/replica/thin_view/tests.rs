@@ -30,7 +30,7 @@ fn through(topology: &mut Topology) -> CutOutcome {
     cut(topology, &stroke).unwrap()
 }
 
-fn news(version: u32, at_us: i64, nodes: &[(u32, f32)]) -> Displacements {
+fn displacements(version: u32, at_us: i64, nodes: &[(u32, f32)]) -> Displacements {
     Displacements {
         step_um: 50,
         topology_version: version,
@@ -48,9 +48,9 @@ fn z(view: &ThinView, node: u32) -> f64 {
 fn newest_displacement_is_shown_for_any_arrival_order() {
     let topology = topology();
     let mut view = ThinView::new(&topology);
-    view.receive(news(0, 2000, &[(3, 2.0), (4, 2.0)]), None);
+    view.receive(displacements(0, 2000, &[(3, 2.0), (4, 2.0)]), None);
     view.advance(ServerTime::from_micros(2000));
-    view.receive(news(0, 1000, &[(3, 1.0), (5, 1.0)]), None);
+    view.receive(displacements(0, 1000, &[(3, 1.0), (5, 1.0)]), None);
     view.advance(ServerTime::from_micros(2000));
     assert_eq!([3, 4, 5].map(|n| z(&view, n)), [2.0, 2.0, 1.0]);
     assert_eq!((view.counters().late, view.counters().waiting), (1, 7));
@@ -60,15 +60,15 @@ fn newest_displacement_is_shown_for_any_arrival_order() {
 fn displacements_are_shown_at_their_time_or_early_on_overflow() {
     let topology = topology();
     let mut view = ThinView::new(&topology);
-    view.receive(news(0, 3000, &[(3, 3.0)]), None);
-    view.receive(news(0, 2000, &[(3, 2.0)]), None);
+    view.receive(displacements(0, 3000, &[(3, 3.0)]), None);
+    view.receive(displacements(0, 2000, &[(3, 2.0)]), None);
     let mut at = |us: i64| {
         view.advance(ServerTime::from_micros(us));
         z(&view, 3)
     };
     assert_eq!([1999, 2000, 2999, 3000].map(&mut at), [0.0, 2.0, 2.0, 3.0]);
     for i in 0..1000 {
-        view.receive(news(0, 1_000_000 + i, &[(3, i as f32)]), None);
+        view.receive(displacements(0, 1_000_000 + i, &[(3, i as f32)]), None);
     }
     assert_eq!(view.waiting.len(), WAITING_MAX);
     assert_eq!(z(&view, 3), (999 - WAITING_MAX) as f64);
@@ -79,11 +79,11 @@ fn displacement_waits_for_its_cut_and_doubled_node_inherits() {
     let mut topology = topology();
     let mut view = ThinView::new(&topology);
     let before = topology.node_count() as u32;
-    view.receive(news(0, 1000, &[(0, 0.5)]), None);
+    view.receive(displacements(0, 1000, &[(0, 0.5)]), None);
     let outcome = through(&mut topology);
     let (new, from) = outcome.doubled[0];
-    view.receive(news(0, 1000, &[(from, 1.0)]), None);
-    view.receive(news(1, 2000, &[(0, 3.0), (new + 1, 4.0)]), None);
+    view.receive(displacements(0, 1000, &[(from, 1.0)]), None);
+    view.receive(displacements(1, 2000, &[(0, 3.0), (new + 1, 4.0)]), None);
     view.advance(ServerTime::from_micros(2000));
     assert_eq!(view.shape().displacement.len(), before as usize);
     assert!((z(&view, 0) - 0.5).abs() < 1e-9, "newer topology");
@@ -96,7 +96,7 @@ fn displacement_waits_for_its_cut_and_doubled_node_inherits() {
 fn impossible_node_is_counted_and_takes_no_memory() {
     let topology = topology();
     let mut view = ThinView::new(&topology);
-    view.receive(news(0, 0, &[(1, 1.0), (33_000_000, 1.0)]), None);
+    view.receive(displacements(0, 0, &[(1, 1.0), (33_000_000, 1.0)]), None);
     view.advance(ServerTime::ZERO);
     assert_eq!((view.counters().received, view.counters().unknown), (1, 1));
     assert!(view.received.len() < 10);
@@ -108,7 +108,7 @@ fn tools_lag_with_latest_datagram_and_recover_slowly() {
     let mut view = ThinView::new(&topology);
     let mut at = |s_us: i64, behind_us: i64| {
         let s = ServerTime::from_micros(s_us);
-        view.receive(news(0, s_us - behind_us, &[]), Some(s));
+        view.receive(displacements(0, s_us - behind_us, &[]), Some(s));
         view.lag().as_micros()
     };
     assert_eq!(at(0, 50_000), 50_000);

@@ -12,13 +12,13 @@ use super::reports::WANTED;
 use super::{Target, at_once};
 use crate::attack::raw_client::{RawClient, hello};
 
-/// Attackers of the crowd.
+/// Attackers.
 const CROWD: usize = 100;
 
-/// Pause of a refused attacker: the whole crowd makes 50 attempts per second.
+/// Pause of a refused attacker: all attackers make 50 attempts per second.
 const REFUSED: Duration = Duration::from_secs(2);
 
-/// Time that an attacker of the crowd stays, and the time between its messages.
+/// Time that an attacker stays, and the time between its messages.
 const STAY: Duration = Duration::from_secs(5);
 const MESSAGE_EVERY: Duration = Duration::from_millis(20);
 
@@ -31,13 +31,13 @@ const BURST: usize = 40;
 const NOISE_BYTES: usize = 60;
 
 /// Attackers that hold a valid link and do all that a spectator can.
-pub(super) async fn crowd(target: Arc<Target>) {
+pub(super) async fn spectators(target: Arc<Target>) {
     at_once(CROWD, |i| {
         let target = Arc::clone(&target);
         async move {
             sleep(REFUSED * i as u32 / CROWD as u32).await;
             for round in 0_u64.. {
-                let name = format!("crowd-{i}-{round}");
+                let name = format!("spectator-{i}-{round}");
                 let joined =
                     RawClient::join(&target.spectator, hello(&target.spectator, name, None)).await;
                 target.count_join(&joined);
@@ -51,7 +51,7 @@ pub(super) async fn crowd(target: Arc<Target>) {
     .await;
 }
 
-/// One of the behaviours of the crowd, until the connection is dropped.
+/// One of the behaviours, until the connection is dropped.
 async fn stay(mut client: RawClient, behaviour: usize) {
     let messages = STAY.as_millis() / MESSAGE_EVERY.as_millis();
     for i in 0..messages as u64 {

@@ -8,13 +8,13 @@ use super::DeviceKind;
 
 /// `haply`, or `haply:049D` where there are several.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct DeviceChoice {
+pub(crate) struct DeviceSelection {
     pub(crate) kind: DeviceKind,
     /// Device id as listed by `devices`.
     pub(crate) which: Option<String>,
 }
 
-impl FromStr for DeviceChoice {
+impl FromStr for DeviceSelection {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -46,12 +46,12 @@ impl FromStr for DeviceChoice {
 
 #[cfg(test)]
 mod tests {
-    use super::{DeviceChoice, DeviceKind};
+    use super::{DeviceKind, DeviceSelection};
 
     #[test]
     fn choice_is_kind_and_optional_id() {
-        let parsed = |text: &str| text.parse::<DeviceChoice>();
-        let haply = |which: Option<&str>| DeviceChoice {
+        let parsed = |text: &str| text.parse::<DeviceSelection>();
+        let haply = |which: Option<&str>| DeviceSelection {
             kind: DeviceKind::Haply,
             which: which.map(str::to_owned),
         };
