@@ -246,7 +246,7 @@ fn a_device_in_use_joins_without_a_script() {
     for (kind, source, called) in [
         (DeviceKind::Dhd, "drd.rs", "omega.7"),
         (DeviceKind::OpenHaptics, "hd.rs", "Touch"),
-        // What is plugged in is found.
+        // Connected devices are found.
         (DeviceKind::Auto, "drd.rs", "omega.7"),
     ] {
         let fake = Fake::start(Manner::Plays, false);

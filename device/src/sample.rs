@@ -73,7 +73,7 @@ impl Wrench {
     }
 }
 
-/// What sets of bits have in common.
+/// Common code of sets of bits.
 macro_rules! bit_set {
     ($set:ident) => {
         impl $set {

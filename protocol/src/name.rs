@@ -126,7 +126,7 @@ fn invisible(c: char) -> Option<&'static str> {
     }
 }
 
-/// What a name looks like, for comparison with other names.
+/// The appearance of a name, for comparison with other names.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Appearance {
     /// The skeleton, in lower case: names that look alike in any case of the skeleton.

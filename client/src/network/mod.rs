@@ -257,7 +257,7 @@ async fn take_seat(
                 }
                 hello.resume = None;
             }
-            // Two attempts of eight seconds found nobody at this address: the link or the network is wrong.
+            // Two attempts of eight seconds found no server at this address: the link or the network is wrong.
             ClientError::Transport(TransportError::NoAnswer { .. }) if hello.resume.is_none() => {
                 return Err(error);
             }

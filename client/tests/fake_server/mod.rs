@@ -44,7 +44,7 @@ pub(crate) enum Manner {
     Plays,
     /// As `Plays`, with a hash that no cut has.
     Lies,
-    /// As `Lies` at first, and as `Plays` to who comes back for the log.
+    /// As `Lies` at first, and as `Plays` to a client that returns for the log.
     Errs,
     /// Says goodbye after a while.
     SaysGoodbye,
@@ -201,7 +201,7 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
                 play(&peer, manner, clock());
             }
             PeerEvent::Hello(hello) if manner == Manner::LosesIt => {
-                // Who comes back names the seat and has the two operations of before.
+                // A returning client names the seat and has the two operations of before.
                 let seat = hello.resume.unwrap();
                 assert!(seat.participant == ME && seat.token.matches(&TOKEN));
                 assert_eq!(seat.next_operation, OperationId(2));
@@ -280,7 +280,7 @@ async fn lose(
 ) -> PeerHandle {
     let connection = server.accept().await.unwrap();
     let (sender, mut inbox) = mpsc::channel(4096);
-    // What runs here ends in the middle of whatever it does.
+    // Everything here ends in the middle of whatever it does.
     let breakable = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)
         .enable_all()

@@ -292,7 +292,7 @@ fn long_operation(id: u64) -> Arc<Operation> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn peer_that_never_reads_has_little_encoded_for_it_and_still_gets_datagrams() {
-    /// What quinn takes by default from a stream that nobody reads, and the server's own window.
+    /// Bytes that quinn takes by default from an unread stream, and the server's own window.
     const WINDOWS: usize = 1_250_000 + 256 * 1024;
     /// 8 MB.
     const OPERATIONS: u64 = 4000;

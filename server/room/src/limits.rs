@@ -1,4 +1,4 @@
-//! What the room refused or limited, for the host.
+//! Refusals and limits of the room, for the host.
 
 use std::fmt;
 
@@ -21,7 +21,7 @@ pub enum Limit {
     LogFull,
     /// A sample was dropped, because no hand moves that fast.
     Sample,
-    /// A delay report was reduced to what the measured path explains, or ignored.
+    /// A delay report was reduced to the measured path, or ignored.
     DelayReport,
     /// The playout delay stayed, because it changed too often.
     DelayChange,

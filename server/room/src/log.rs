@@ -13,7 +13,7 @@
 //! left. A resuming client may miss operations of the last minute, because its seat is kept that long. Operations about
 //! participants are therefore dropped once they are [`KEPT`] old and superseded: all about a participant who has left, a
 //! reconnect with its loss, a restored tool with its demotion, an earlier tool. Numbers of operations stay; a gap
-//! stands for what was dropped.
+//! stands for dropped operations.
 //!
 //! **Shares.** A cut is accepted if its author has used less than what is left. One author can therefore use at most
 //! half, and every other present participant still cuts. An author who joins again inherits what those who left have

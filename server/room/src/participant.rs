@@ -31,7 +31,7 @@ pub(crate) enum Presence {
     },
 }
 
-/// What a delay estimate may have above the measured path: the longest round of motion and a batch (20 ms), and the
+/// Allowance of a delay estimate above the measured path: the longest round of motion and a batch (20 ms), and the
 /// margin of bursts (5 ms).
 const UNEXPLAINED_MAX: Span = Span::from_millis(25);
 

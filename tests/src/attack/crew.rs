@@ -48,7 +48,7 @@ impl Crew {
         }
     }
 
-    /// What each attack achieved.
+    /// Counters of each attack.
     pub(super) fn counts(&self) -> Vec<(&'static str, Counts)> {
         let of = |(attack, target, _): &(Attack, Arc<Target>, JoinHandle<()>)| {
             (attack.name, target.counts())

@@ -58,7 +58,7 @@ pub struct Figures {
     pub honest_cuts: Option<u64>,
     /// Operations that the observer received.
     pub operations: Option<u64>,
-    /// What each attack achieved.
+    /// Counters of each attack.
     pub achieved: Vec<(&'static str, Counts)>,
     /// Processes that failed, one sentence each.
     pub problems: Vec<String>,

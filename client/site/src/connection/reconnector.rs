@@ -108,7 +108,7 @@ struct Outage {
 pub struct Reconnector {
     hello: Hello,
     seat: Resume,
-    /// Whether the server no longer has the seat, so that the next attempt joins anew.
+    /// Whether the server no longer has the seat, so that the next attempt is a join.
     is_seat_gone: bool,
     /// The session; another one has another log.
     epoch: Epoch,
@@ -374,7 +374,7 @@ impl Reconnector {
     }
 
     /// The server refused the attempt. A later one may succeed after a refusal for load, and after the loss of a seat
-    /// without a tool. The seat of a tool is not replaced, because the tool would appear anew in the middle of a motion.
+    /// without a tool. The seat of a tool is not replaced, because the tool would appear again in the middle of a motion.
     pub fn handle_refusal(&mut self, refused: Refused, now: ClientTime) {
         if !matches!(self.state, State::Away(_)) {
             return;

@@ -58,7 +58,7 @@ impl Roster {
         roster
     }
 
-    /// Adds a participant. A known participant keeps the tool's timeline. Entries beyond [`SEATS_SHOWN_MAX`]
+    /// Adds a participant. A known participant keeps the tool's timeline. Entries beyond `SEATS_SHOWN_MAX`
     /// are ignored.
     pub fn join(&mut self, entry: RosterEntry) {
         if let Some(seat) = self.seats.get_mut(&entry.participant) {

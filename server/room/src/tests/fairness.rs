@@ -288,7 +288,7 @@ fn floods_of_joins_and_losses_leave_the_log_to_cuts() {
     assert!(hall.room.limits().of(Limit::Busy) > 0);
 }
 
-/// What the adversary does.
+/// A deed of the adversary.
 #[derive(Debug, Clone, Copy)]
 enum Deed {
     Joins,
