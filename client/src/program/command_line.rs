@@ -7,7 +7,7 @@
 use std::ffi::{OsStr, OsString};
 
 /// The arguments without the first one that is `link`; `None` if there is none.
-#[cfg_attr(not(unix), allow(dead_code))]
+#[cfg(any(unix, test))]
 fn without(mut arguments: Vec<OsString>, link: &str) -> Option<Vec<OsString>> {
     let at = arguments.iter().position(|word| word == OsStr::new(link))?;
     arguments.remove(at);

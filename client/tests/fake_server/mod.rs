@@ -184,9 +184,7 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
     if matches!(manner, Manner::Lies | Manner::Errs) {
         lie(&server, info, clock).await;
     }
-    let connection = server.accept().await.unwrap();
-    let (sender, mut inbox) = mpsc::channel(4096);
-    let peer = spawn_peer(connection, PeerId(1), clock, sender);
+    let (peer, mut inbox) = next_peer(&server, PeerId(1), clock).await;
     while let Some(PeerInput { event, .. }) = inbox.recv().await {
         match event {
             PeerEvent::Hello(hello) if manner == Manner::LosesSeat => {
@@ -252,15 +250,24 @@ async fn serve(server: Server, manner: Manner, info: ModelInfo) {
     }
 }
 
+/// The next client, and its events.
+async fn next_peer(
+    server: &Server,
+    id: PeerId,
+    clock: impl Fn() -> ServerTime + Send + 'static,
+) -> (PeerHandle, mpsc::Receiver<PeerInput>) {
+    let connection = server.accept().await.unwrap();
+    let (sender, inbox) = mpsc::channel(4096);
+    (spawn_peer(connection, id, clock, sender), inbox)
+}
+
 /// Refuses the next client.
 async fn refuse(
     server: &Server,
     reason: &RefusalReason,
     clock: impl Fn() -> ServerTime + Copy + Send + 'static,
 ) {
-    let connection = server.accept().await.unwrap();
-    let (sender, mut inbox) = mpsc::channel(4096);
-    let peer = spawn_peer(connection, PeerId(0), clock, sender);
+    let (peer, mut inbox) = next_peer(server, PeerId(0), clock).await;
     while let Some(PeerInput { event, .. }) = inbox.recv().await {
         match event {
             PeerEvent::Hello(_) => {
@@ -314,9 +321,7 @@ async fn lie(
     info: ModelInfo,
     clock: impl Fn() -> ServerTime + Copy + Send + 'static,
 ) {
-    let connection = server.accept().await.unwrap();
-    let (sender, mut inbox) = mpsc::channel(4096);
-    let peer = spawn_peer(connection, PeerId(0), clock, sender);
+    let (peer, mut inbox) = next_peer(server, PeerId(0), clock).await;
     while let Some(PeerInput { event, .. }) = inbox.recv().await {
         match event {
             PeerEvent::Hello(hello) => {

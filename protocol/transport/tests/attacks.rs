@@ -1,6 +1,6 @@
 //! Attacks on a server over real sockets: each costs it a bounded amount and keeps no participant out.
 //!
-//! Time appears only as a bound on what a rate may have let through.
+//! Time appears only in the bound on the number that a rate passes.
 #![allow(clippy::unwrap_used)]
 #![cfg_attr(not(target_os = "linux"), allow(dead_code, unused_imports))]
 

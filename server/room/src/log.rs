@@ -15,7 +15,7 @@
 //! reconnect with its loss, a restored tool with its demotion, an earlier tool. Numbers of operations stay; a gap
 //! stands for dropped operations.
 //!
-//! **Shares.** A cut is accepted if its author has used less than what is left. One author can therefore use at most
+//! **Shares.** A cut is accepted if its author has used less space than remains. One author can therefore use at most
 //! half, and every other present participant still cuts. An author who joins again inherits what those who left have
 //! used.
 
@@ -334,6 +334,7 @@ mod tests {
         );
         log.compact(at(90));
         assert_eq!(log.len(), 4, "the reconnect and its loss are dropped");
+        assert_eq!(log.complete_from(), OperationId(4));
         let reason = LeaveReason::Silent;
         let left = OperationKind::Left {
             participant: who,
@@ -350,6 +351,7 @@ mod tests {
         let kept: Vec<u64> = log.since(OperationId(0)).iter().map(|o| o.id.0).collect();
         assert_eq!(kept, [1, 4], "the other participant and the cut");
         assert_eq!(log.next(), OperationId(7));
+        assert_eq!(log.complete_from(), OperationId(7));
         assert_eq!(log.last_before(OperationId(4)).unwrap().id.0, 1);
         assert_eq!(log.last_before(OperationId(7)).unwrap().id.0, 4);
     }

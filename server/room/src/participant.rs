@@ -149,6 +149,12 @@ impl Participant {
         })
     }
 
+    /// The longest downlink that the measured round trip leaves beside this uplink, µs; zero before it is known.
+    pub(crate) fn downlink_max_us(&self, uplink_us: i64) -> i64 {
+        let path_us = self.round_trip.map_or(0, limit_us);
+        (i64::from(path_us) - uplink_us).max(0)
+    }
+
     /// A delay report as far as the longest uplink of the other participants and the measured round trip explain it;
     /// `None` for a participant whose own samples are not measured.
     pub(crate) fn explained(

@@ -9,7 +9,8 @@
 //!
 //! ```text
 //! uplink(x)       age of x's samples on arrival at the server, measured by the server
-//! downlink(x)     reported requirement of x, less the largest uplink of the other participants
+//! downlink(x)     reported requirement of x, less the largest uplink of the other participants, at most the measured
+//!                 round trip of x less its uplink
 //! pair(x,y)       max( uplink(x) + downlink(y), uplink(y) + downlink(x) )
 //! requirement(x)  max( uplink(x), pair(x,y) for every y with a shorter uplink + downlink than x )
 //! ```
@@ -176,7 +177,7 @@ impl Room {
             let longest = active.filter_map(uplink).max().unwrap_or(0);
             let own_uplink = uplink(p).unwrap_or(0);
             let downlink = match wanted {
-                Some(wanted) => (wanted - longest).max(0),
+                Some(wanted) => (wanted - longest).clamp(0, p.downlink_max_us(own_uplink)),
                 None if p.demotion.is_demoted() => p.downlink_us.min(own_uplink),
                 None => 0,
             };

@@ -10,11 +10,12 @@ use crate::{LoggedCut, TissueReport};
 
 const CAP_MS: i64 = 400;
 
-/// A participant with a moving tool, and its one-way delays, ms.
+/// A participant with a moving tool, its one-way delays, and the false age of its samples, ms.
 struct Mover {
     peer: PeerKey,
     up_ms: i64,
     down_ms: i64,
+    false_ms: i64,
 }
 
 /// A session in which all participants press and report their delay requirement.
@@ -46,6 +47,7 @@ impl Session {
                 peer,
                 up_ms,
                 down_ms,
+                false_ms: 0,
             });
         }
         Self {
@@ -65,7 +67,7 @@ impl Session {
             let who = ParticipantId(m.peer.0 as u16);
             *j != i && !demoted.contains(&who)
         });
-        let up = others.map(|(_, m)| m.up_ms).max()?;
+        let up = others.map(|(_, m)| m.up_ms + m.false_ms).max()?;
         Some(up + self.movers[i].down_ms)
     }
 
@@ -90,9 +92,10 @@ impl Session {
                     peer,
                     up_ms,
                     down_ms,
+                    false_ms,
                 } = self.movers[i];
-                let PeerEvent::Motion(motion) = pressing_at(now - up_ms - 4, now - up_ms, ms(now))
-                else {
+                let newest = now - up_ms - false_ms;
+                let PeerEvent::Motion(motion) = pressing_at(newest - 4, newest, ms(now)) else {
                     unreachable!()
                 };
                 let motion = PeerMotion {
@@ -131,6 +134,15 @@ impl Session {
             _ => None,
         })
     }
+}
+
+#[test]
+fn false_sample_times_of_one_participant_demote_no_other() {
+    // Its pairs with honest participants need 290 ms of 400.
+    let mut s = Session::of(&[(140, 140), (10, 10)]);
+    s.movers[1].false_ms = 269;
+    s.run_until(8000);
+    assert_eq!(s.demoted(), []);
 }
 
 #[test]

@@ -217,7 +217,14 @@ fn seat_of_a_participant_who_took_part_is_kept_for_it_alone() {
     assert!(matches!(refused, Some(RefusalReason::Full { .. })));
     // Bob never moved his tool.
     hall.lose(2, ms(9000));
+    let seats = hall.room.participant_count();
     assert_eq!(hall.join(4, "eve", Role::Trainee, ms(9100)), None);
+    assert_eq!(hall.room.participant_count(), seats, "one came for one");
+    assert_eq!(
+        hall.room.joined_count(),
+        3,
+        "which the count of joins shows"
+    );
 }
 
 #[test]

@@ -12,6 +12,9 @@ const STATES: [&str; 4] = ["Connected", "Demoted", "Disconnected", "Removed"];
 
 const ANN: ParticipantId = ParticipantId(1);
 
+/// Allowance of the delay estimate for an uplink without delay and a sample every 250 ms, ms.
+const UPLINK_MS: i64 = 50;
+
 fn seat() -> Resume {
     Resume {
         participant: ANN,
@@ -57,7 +60,7 @@ fn state_of(room: &mut SimulatedRoom, log: &mut Vec<Arc<Operation>>) -> &'static
     }
 }
 
-/// Ann reports this delay requirement for some seconds. Returns the time at the end.
+/// Ann reports this delay requirement for some seconds, over a downlink that needs it. Returns the time at the end.
 fn report_requirement(
     room: &mut SimulatedRoom,
     peer: PeerKey,
@@ -71,6 +74,14 @@ fn report_requirement(
             wanted_us: wanted_ms * 1000,
             ..DelayReport::default()
         };
+        let PeerEvent::Motion(motion) = pressing_at(t - 4, t, ms(t)) else {
+            unreachable!()
+        };
+        let motion = PeerMotion {
+            round_trip: Some(Span::from_millis(i64::from(wanted_ms) + UPLINK_MS)),
+            ..motion
+        };
+        room.handle_event(peer, PeerEvent::Motion(motion), ms(t));
         room.handle_event(peer, PeerEvent::Delay(report), ms(t));
         room.handle_tick(ms(t), &mut || true);
     }

@@ -243,3 +243,24 @@ fn the_index_takes_a_bounded_number_of_bytes_per_triangle_and_node() {
     let bound = bound + 120 * triangles;
     assert!(bytes <= bound, "{bytes} of {bound}");
 }
+
+#[test]
+fn known_tool_that_jumps_into_tissue_is_placed_on_its_surface() {
+    let topology = topology();
+    let mut contacts = Contacts::new(&topology);
+    let u = vec![Vec3::zeros(); topology.node_count()];
+    let own = vec![1.0; u.len()];
+    let top = CELLS[2] as f64 * D;
+    let middle = Vec3::new(4.5 * D, 3.5 * D, top);
+    let half = [Vec3::x() * 3.0 * D, Vec3::y() * 2.0 * D];
+    let form = Form { half, ..Form::BALL };
+    // From 30 mm above the surface to 4 mm below it in one step: too far for this plate's march.
+    for height in [0.03, -0.004] {
+        let tool = Tool::ball(1, middle + Vec3::z() * height, 0.3 * D);
+        contacts.begin(&[Tool { form, ..tool }]);
+        contacts.gather(&topology, &u, 0.0, &own);
+        let proxy = &contacts.proxies[0];
+        assert_eq!(proxy.touching, height < 0.0);
+        assert!(proxy.at.z >= top, "{} m below", top - proxy.at.z);
+    }
+}

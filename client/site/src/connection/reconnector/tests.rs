@@ -398,3 +398,24 @@ fn spectator_ends_when_neither_its_seat_nor_its_session_exists() {
     }
     assert_eq!(state_of(&machine), "Ended", "one new attempt, not a loop");
 }
+
+#[test]
+fn welcome_with_another_token_is_a_new_seat_and_one_of_another_session_ends() {
+    let mut machine = connecting_as(Role::Spectator);
+    let again = Welcome {
+        participant: ParticipantId(1),
+        resume_token: ResumeToken([1; 16]),
+        ..*welcome(0)
+    };
+    machine.handle_welcome(Box::new(again), at(400));
+    let seat = machine.status().joined_again_as;
+    assert_eq!(seat, Some(ParticipantId(1)), "numbers are used again");
+
+    let mut machine = connecting_as(Role::Spectator);
+    let other = Welcome {
+        epoch: Epoch(2),
+        ..*welcome(0)
+    };
+    machine.handle_welcome(Box::new(other), at(400));
+    assert_eq!(state_of(&machine), "Ended");
+}

@@ -1,22 +1,14 @@
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{ParticipantId, ServerTime};
-use palpate_tissue::{Budget, Material, Vec3, block};
+use palpate_tissue::{Budget, Vec3};
 
 use super::*;
+use crate::test_support::soft_block;
 
 const CELL: f64 = 4e-3;
 
 fn view() -> View {
-    let material = Material {
-        name: "soft".into(),
-        young_pa: 10e3,
-        density_kg_m3: 1000.0,
-        friction_static: 0.4,
-        friction_dynamic: 0.3,
-        source: "test".into(),
-        ..Material::default()
-    };
-    let model = Arc::new(block([10, 10, 6], CELL, &material, 1));
+    let model = soft_block([10, 10, 6]);
     View::new(&Arc::new(Topology::new(model)))
 }
 
