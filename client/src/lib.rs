@@ -26,6 +26,7 @@
 
 mod devices;
 mod network;
+mod page;
 mod program;
 pub mod realtime;
 pub mod recording;

@@ -82,3 +82,14 @@ fn what_is_plugged_in_is_listed_tested_and_calibrated() {
         "{said}"
     );
 }
+
+#[test]
+fn pointer_is_listed_and_passes_the_suite_without_a_view() {
+    let list: Value = serde_json::from_slice(&devices(&["list", "--json"], &[]).stdout).unwrap();
+    let row = row(&list, "pointer");
+    assert_eq!(row["present"], true);
+    assert!(row["is"].as_str().unwrap().contains("--view"), "{row}");
+    let tested = devices(&["test", "pointer"], &[]);
+    let table = String::from_utf8(tested.stdout).unwrap();
+    assert!(tested.status.success(), "{table}");
+}

@@ -273,3 +273,33 @@ fn a_device_in_use_joins_without_a_script() {
         fake.stop();
     }
 }
+
+#[test]
+fn pointer_joins_with_a_view_only() {
+    let fake = Fake::start(Manner::Plays, false);
+    let pointer = |kind, view: Option<&str>| JoinOptions {
+        device: kind,
+        view: view.map(|address| address.parse().unwrap()),
+        script: None,
+        duration: Some(Duration::from_secs(1)),
+        ..fake.options()
+    };
+    // Before the server is contacted: it would wait for this client.
+    let error = palpate_client::run(&pointer(DeviceKind::Pointer, None)).unwrap_err();
+    assert_eq!(error.exit_code(), 2);
+    let message = error.to_string();
+    assert!(
+        message.contains("the device pointer needs --view"),
+        "{message}"
+    );
+    let summary = palpate_client::run(&pointer(DeviceKind::Pointer, Some("127.0.0.1:0"))).unwrap();
+    assert_eq!(summary.device, "pointer");
+    assert!(summary.ticks > 0, "{summary}");
+    // Without its handle the device would be unplugged.
+    assert_eq!(
+        (summary.events.faulted, summary.events.bad_samples),
+        (0, 0),
+        "{summary}"
+    );
+    fake.stop();
+}

@@ -154,10 +154,7 @@ mod tests {
         };
         let time = ServerTime::from_micros(i64::MAX / 2);
         let points = vec![TimedBladePoint { time, blade }; STROKE_MAX_POINTS];
-        let kind = RequestKind::Cut(CutRequest {
-            points,
-            width_m: 0.001,
-        });
+        let kind = RequestKind::Cut(CutRequest::whole(points, 0.001));
         ClientMessage::Request(Request {
             id: RequestId(9),
             kind,

@@ -15,6 +15,9 @@ pub enum ProtocolError {
         /// The first four bytes that arrived.
         found: [u8; 4],
     },
+    /// A page in a browser violated its format.
+    #[error("{0}")]
+    Page(String),
     /// Both sides use palpate, in different versions.
     #[error(
         "the other side speaks protocol version {theirs}, this program speaks version {PROTOCOL_VERSION}; use the same release on both sides"

@@ -5,6 +5,7 @@
 //! counts as acknowledged before the next is written: see [`datagram_bytes`].
 
 use crate::codec::encode_frame;
+use crate::control::{Anchor, Annotation, AnnotationKind, CameraView, Control};
 use crate::datagram::{
     Acknowledgement, Body, Corrections, Datagram, Displacements, Expected, Header, Memory, Probe,
     Reply, Tag,
@@ -14,17 +15,17 @@ use crate::handshake::{
 };
 use crate::lateness::Lateness;
 use crate::operation::{
-    BladePoint, CompensationMode, CompensationSettings, CutStroke, LeaveReason, Operation,
-    OperationKind,
+    BladePoint, CompensationMode, CompensationSettings, CutStroke, HeldTool, LeaveReason,
+    Operation, OperationKind,
 };
 use crate::request::{
-    ClientMessage, CutRequest, DelayReport, Request, RequestKind, RequestRefusal, RequestRefused,
-    ServerMessage, TimedBladePoint,
+    ClientMessage, CutRequest, DelayReport, Invitation, Request, RequestKind, RequestRefusal,
+    RequestRefused, ServerMessage, TimedBladePoint,
 };
 use crate::tool::{ToolDescription, ToolKind};
 use crate::{
-    ClientTime, Epoch, Grant, ModelHash, OperationId, ParticipantId, Pose, ProtocolError,
-    RequestId, ResumeToken, ServerTime, Span, ToolSample, ToolTrack, TopologyHash,
+    ClientTime, Emulation, Epoch, Grant, ModelHash, OperationId, ParticipantId, Pose,
+    ProtocolError, RequestId, ResumeToken, ServerTime, Span, ToolSample, ToolTrack, TopologyHash,
 };
 
 /// A message with a unique name.
@@ -63,6 +64,27 @@ const PLATE: ToolDescription = ToolDescription {
     width_m: 0.03,
 };
 
+/// A view direction.
+pub const CAMERA: CameraView = CameraView {
+    position_m: [0.5, 0.0, 0.25],
+    target_m: [0.0, 0.0, 0.25],
+    up: [0.0, 0.0, 1.0],
+};
+
+/// An annotation.
+pub fn annotation() -> Annotation {
+    Annotation {
+        id: 5,
+        text: "cut here".to_owned(),
+        kind: AnnotationKind::Arrow,
+        anchor: Anchor {
+            nodes: [40, 41, 300],
+            weights: [0.5, 0.25, 0.25],
+        },
+        offset_m: [0.0, 0.0, 0.0625],
+    }
+}
+
 /// Server time in milliseconds.
 const fn ms(t: i64) -> ServerTime {
     ServerTime::from_micros(1000 * t)
@@ -92,6 +114,7 @@ pub fn client_messages() -> Vec<Example<ClientMessage>> {
         })
     };
     let cut = CutRequest {
+        began: ms(8950),
         points: [8990, 9000]
             .map(|t| TimedBladePoint {
                 time: ms(t),
@@ -99,19 +122,87 @@ pub fn client_messages() -> Vec<Example<ClientMessage>> {
             })
             .to_vec(),
         width_m: 0.0005,
+        is_last: false,
     };
     let topology = RequestKind::TopologyReport {
         version: 1,
         hash: TopologyHash(0x0123_4567_89ab_cdef),
     };
-    vec![
+    let mut all = vec![
         example("Hello", ClientMessage::Hello(hello(None))),
         example("Hello again", ClientMessage::Hello(hello(Some(resume)))),
         example("Cut", request(1, RequestKind::Cut(cut))),
         example("Leave", request(2, RequestKind::Leave)),
         example("TopologyReport", request(3, topology)),
+        example("SetTool", request(4, RequestKind::SetTool(PLATE))),
+    ];
+    for (control, id) in controls().into_iter().zip(5..) {
+        let message = request(id, RequestKind::Control(control.message));
+        all.push(example(control.name, message));
+    }
+    all
+}
+
+/// All controls, in the order of their variants.
+fn controls() -> Vec<Example<Control>> {
+    let participant = NEIGHBOUR;
+    let mute = Control::Mute {
+        participant,
+        is_muted: true,
+    };
+    let force = Control::ForceLimit {
+        participant,
+        newtons: Some(2.5),
+    };
+    let capacity = Control::Capacity {
+        seats: 8,
+        spectators: 4,
+    };
+    let compensation = Control::Compensation {
+        mode: CompensationMode::Adaptive { cap_us: 300_000 },
+    };
+    let invite = Control::Invite {
+        role: Role::Trainee,
+        name: Some("Cy".to_owned()),
+        lifetime_s: 3600,
+        is_single_use: true,
+    };
+    let emulate = Control::Emulate {
+        participant,
+        emulation: EMULATION,
+    };
+    vec![
+        example("control Mute", mute),
+        example("control HandOver", Control::HandOver { participant }),
+        example("control Freeze", Control::Freeze { is_frozen: true }),
+        example("control Reset", Control::Reset),
+        example("control Undo", Control::Undo),
+        example("control Redo", Control::Redo),
+        example("control ForceLimit", force),
+        example("control Kick", Control::Kick { participant }),
+        example("control Ban", Control::Ban { participant }),
+        example("control Lock", Control::Lock { is_locked: true }),
+        example("control Capacity", capacity),
+        example("control Compensation", compensation),
+        example("control Annotate", Control::Annotate(annotation())),
+        example(
+            "control RemoveAnnotation",
+            Control::RemoveAnnotation { id: 5 },
+        ),
+        example("control ShowCamera", Control::ShowCamera(CAMERA)),
+        example("control Invite", invite),
+        example(
+            "control RevokeInvitation",
+            Control::RevokeInvitation { id: 2 },
+        ),
+        example("control Emulate", emulate),
     ]
 }
+
+const EMULATION: Emulation = Emulation {
+    delay_ms: 150,
+    loss_permille: 50,
+};
 
 const DELAY: DelayReport = DelayReport {
     mean_us: 26_000,
@@ -152,6 +243,8 @@ fn welcome() -> Welcome {
 fn operations() -> Vec<Example<OperationKind>> {
     let who = NEIGHBOUR;
     let stroke = CutStroke {
+        began: ms(8950),
+        joins: true,
         points: vec![BLADE],
         width_m: 0.0005,
     };
@@ -199,6 +292,81 @@ fn operations() -> Vec<Example<OperationKind>> {
             OperationKind::Restored { participant: who },
         ),
     ]
+    .into_iter()
+    .chain(control_operations())
+    .collect()
+}
+
+/// The operations that follow from controls, in the order of their variants.
+fn control_operations() -> Vec<Example<OperationKind>> {
+    let participant = NEIGHBOUR;
+    let muted = OperationKind::Muted {
+        participant,
+        is_muted: true,
+    };
+    let force = OperationKind::ForceLimit {
+        participant,
+        newtons: Some(2.5),
+    };
+    let access = OperationKind::Access {
+        is_locked: true,
+        seats: 8,
+        spectators: 4,
+    };
+    let frozen = OperationKind::Frozen {
+        is_frozen: true,
+        held: vec![HeldTool {
+            participant,
+            pose: Pose {
+                position_m: [0.25, 0.5, -0.125],
+                ..Pose::IDENTITY
+            },
+            buttons: 1,
+        }],
+    };
+    let mode = OperationKind::CompensationMode {
+        mode: CompensationMode::Adaptive { cap_us: 300_000 },
+    };
+    let invited = OperationKind::Invited {
+        id: 2,
+        role: Role::Trainee,
+        name: Some("Cy".to_owned()),
+        expires_at: ms(3_609_000),
+        is_single_use: true,
+    };
+    let emulated = OperationKind::Emulated {
+        participant,
+        emulation: EMULATION,
+    };
+    vec![
+        example("operation Muted", muted),
+        example("operation Frozen", frozen),
+        example("operation Reset", OperationKind::Reset),
+        example("operation Undone", OperationKind::Undone),
+        example("operation Redone", OperationKind::Redone),
+        example("operation ForceLimit", force),
+        example("operation Access", access),
+        example("operation CompensationMode", mode),
+        example(
+            "operation Annotated",
+            OperationKind::Annotated(annotation()),
+        ),
+        example(
+            "operation AnnotationRemoved",
+            OperationKind::AnnotationRemoved { id: 5 },
+        ),
+        example("operation CameraShown", OperationKind::CameraShown(CAMERA)),
+        example("operation Invited", invited),
+        example(
+            "operation InvitationUsed",
+            OperationKind::InvitationUsed { id: 2 },
+        ),
+        example(
+            "operation InvitationRevoked",
+            OperationKind::InvitationRevoked { id: 3 },
+        ),
+        example("operation Emulated", emulated),
+    ]
 }
 
 /// Everything a server writes after its preamble.
@@ -216,12 +384,16 @@ pub fn server_messages() -> Vec<Example<ServerMessage>> {
     let goodbye = ServerMessage::Goodbye {
         sentence: "the host went home".to_owned(),
     };
+    let invitation = ServerMessage::Invitation(Invitation {
+        id: 2,
+        grant: Grant([0x33; 16]),
+    });
     let mut all = vec![
         example("Welcome", ServerMessage::Welcome(Box::new(welcome()))),
         example("Refused", ServerMessage::Refused(full)),
     ];
     for (i, operation) in operations().into_iter().enumerate() {
-        let cuts = u32::from(matches!(operation.message, OperationKind::Cut(_)));
+        let cuts = u32::from(operation.message.changes_topology());
         let message = ServerMessage::Operation(Operation {
             id: OperationId(7 + i as u64),
             at: ms(9000),
@@ -238,6 +410,7 @@ pub fn server_messages() -> Vec<Example<ServerMessage>> {
         example("RequestRefused", refused(RequestRefusal::NothingCut)),
         example("RequestRefused with words", refused(torn)),
         example("Goodbye", goodbye),
+        example("Invitation", invitation),
     ]);
     all
 }

@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// The protocol version of this crate. Every change of a message increments it.
-pub const PROTOCOL_VERSION: u16 = 7;
+pub const PROTOCOL_VERSION: u16 = 9;
 
 /// The first bytes of every palpate stream.
 pub const MAGIC: [u8; 4] = *b"PALP";
@@ -107,11 +107,6 @@ impl Role {
             Self::Spectator => "spectator",
             Self::Recorder => "recorder",
         }
-    }
-
-    /// Whether a participant of this role has a tool.
-    pub const fn has_tool(self) -> bool {
-        matches!(self, Self::Instructor | Self::Trainee)
     }
 }
 
@@ -365,10 +360,10 @@ pub enum RefusalReason {
         /// The requested role.
         role: Role,
     },
-    /// A thin subscription for a role with a tool.
+    /// A thin subscription for a role that needs the tissue.
     #[error(
-        "a thin subscription has no tissue of its own to feel, and the role {role} holds a tool: what it felt would be \
-         a round trip old; join with the subscription full, or as a spectator"
+        "a thin subscription has no tissue of its own, and the role {role} needs it to feel or to record; join with \
+         the subscription full, or as a spectator"
     )]
     ThinTool {
         /// The requested role.
@@ -385,6 +380,34 @@ pub enum RefusalReason {
     /// Too many joins or resumptions in a short time.
     #[error("the session receives too many joins at this time; try again in a few seconds")]
     Busy,
+    /// The instructor has locked the session.
+    #[error("the instructor has locked the session; ask the instructor to open it")]
+    Locked,
+    /// The instructor has banned a participant with this name, or one that looks like it.
+    #[error("the instructor has removed \"{name}\" from this session for its whole duration")]
+    Banned {
+        /// The name of that participant.
+        name: String,
+    },
+    /// The lifetime of the invitation is over.
+    #[error("the invitation has expired; ask the instructor for a new one")]
+    InvitationExpired,
+    /// The instructor has revoked the invitation.
+    #[error("the instructor has revoked the invitation; ask the instructor for a new one")]
+    InvitationRevoked,
+    /// The invitation was for a single use.
+    #[error(
+        "the invitation was for a single use and has been used; ask the instructor for a new one"
+    )]
+    InvitationUsed,
+    /// The invitation is for another name.
+    #[error(
+        "the invitation is for the name \"{name}\"; join under that name, or ask the instructor for another invitation"
+    )]
+    InvitationName {
+        /// The only name that may use it.
+        name: String,
+    },
 }
 
 impl RefusalReason {

@@ -11,16 +11,18 @@
 //! | operations | handshake, cuts, joins, compensation | length-prefixed frames on one ordered stream, numbered |
 //! | motion | tool samples, displacement corrections, clock probes | datagrams of at most [`DATAGRAM_MAX_BYTES`] |
 //!
-//! Where to look: [`handshake`], [`name`] and [`link`] for joining, [`operation`] and [`request`] for ordered
-//! messages, [`datagram`] for messages that may be lost, [`session`] for the two state machines,
-//! [`clock`], [`compensation`] and [`timeline`] for the shared time.
+//! Where to look: [`handshake`], [`name`] and [`link`] for joining, [`operation`], [`request`], [`control`] and
+//! [`permission`] for ordered messages, [`datagram`] for messages that may be lost, [`session`] for the two
+//! state machines, [`clock`], [`compensation`] and [`timeline`] for the shared time.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod bounded_list;
 pub mod clock;
 pub mod codec;
 pub mod compensation;
+pub mod control;
 pub mod datagram;
+mod emulation;
 mod error;
 pub mod examples;
 pub mod handshake;
@@ -29,6 +31,7 @@ pub mod lateness;
 pub mod link;
 pub mod name;
 pub mod operation;
+pub mod permission;
 pub mod request;
 mod sample;
 mod sequence;
@@ -40,6 +43,7 @@ pub mod tool;
 pub mod verlet;
 
 pub use datagram::DATAGRAM_MAX_BYTES;
+pub use emulation::{EMULATED_DELAY_MAX_MS, EMULATED_LOSS_MAX_PERMILLE, Emulation};
 pub use error::ProtocolError;
 pub use handshake::{ModelInfo, PROTOCOL_VERSION, Role};
 pub use ids::{Epoch, ModelHash, OperationId, ParticipantId, RequestId, TopologyHash};

@@ -95,6 +95,11 @@ pub fn normalise(name: &str) -> Result<String, NameError> {
     }
 }
 
+/// Whether a text has no character that shows nothing or changes the order of others. White space is visible.
+pub fn is_visible(text: &str) -> bool {
+    text.chars().all(|c| invisible(c).is_none())
+}
+
 fn check_characters(name: &str) -> Result<(), NameError> {
     let found = name
         .chars()

@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::handshake::Role;
+use crate::control::{Annotation, CameraView, is_force_limit, is_mode, is_name};
+use crate::handshake::{ROSTER_MAX, Role};
 use crate::tool::ToolDescription;
-use crate::{OperationId, ParticipantId, ServerTime, TopologyHash};
+use crate::{Emulation, OperationId, ParticipantId, Pose, ServerTime, TopologyHash};
 
 /// The most blade points in one stroke. 512 points of 56 B stay below half of the largest frame. The
 /// server refuses a longer stroke; the client cuts it in pieces.
@@ -32,7 +33,7 @@ pub struct Operation {
 /// The change that an operation makes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum OperationKind {
-    /// Cuts the tissue along a stroke.
+    /// Cuts the tissue along a stroke or a part of one.
     Cut(CutStroke),
     /// A participant joined.
     Joined {
@@ -62,7 +63,7 @@ pub enum OperationKind {
         /// The participant's number.
         participant: ParticipantId,
     },
-    /// A restarted client resumed the seat with another tool.
+    /// A participant holds another tool, on request or because a restarted client resumed the seat with it.
     ToolChanged {
         /// The participant's number.
         participant: ParticipantId,
@@ -97,11 +98,134 @@ pub enum OperationKind {
         /// The participant's number.
         participant: ParticipantId,
     },
+    /// The instructor made a tool inactive, or active again.
+    Muted {
+        /// The participant's number.
+        participant: ParticipantId,
+        /// Whether the tool is inactive.
+        is_muted: bool,
+    },
+    /// All tools hold a pose from this operation on, or move again.
+    Frozen {
+        /// Whether the session is frozen.
+        is_frozen: bool,
+        /// The held tools; all other tools are inactive meanwhile. A participant who joins later has received no motion
+        /// of them.
+        #[serde(deserialize_with = "crate::bounded_list::at_most::<ROSTER_MAX, _, _>")]
+        held: Vec<HeldTool>,
+    },
+    /// The tissue is uncut again. Nothing before it can be undone or redone.
+    Reset,
+    /// The last stroke in effect is taken back.
+    Undone,
+    /// The last stroke that was taken back is in effect again.
+    Redone,
+    /// The force limit of a participant's device changes.
+    ForceLimit {
+        /// The participant's number.
+        participant: ParticipantId,
+        /// The limit in N; `None` for that of the device alone.
+        newtons: Option<f64>,
+    },
+    /// The conditions for joining change.
+    Access {
+        /// Whether only lost seats are given out.
+        is_locked: bool,
+        /// Seats in total.
+        seats: u16,
+        /// Seats that spectators and recorders may take together.
+        spectators: u16,
+    },
+    /// The rule for the playout delay changes.
+    CompensationMode {
+        /// The rule.
+        mode: CompensationMode,
+    },
+    /// An annotation is placed, or replaces the one with its number.
+    Annotated(Annotation),
+    /// An annotation is removed.
+    AnnotationRemoved {
+        /// Its number.
+        id: u32,
+    },
+    /// One view direction is shown to all participants.
+    CameraShown(CameraView),
+    /// An instructor created an invitation. The log is for all participants, so its grant is not in it.
+    Invited {
+        /// Its number.
+        id: u32,
+        /// The role that it allows.
+        role: Role,
+        /// The only name that may use it; `None` for any name.
+        name: Option<String>,
+        /// The time from which on it is refused.
+        expires_at: ServerTime,
+        /// Whether the first join uses it up.
+        is_single_use: bool,
+    },
+    /// A participant joined with an invitation for a single use, which is refused from now on.
+    InvitationUsed {
+        /// Its number.
+        id: u32,
+    },
+    /// An instructor revoked an invitation, which is refused from now on.
+    InvitationRevoked {
+        /// Its number.
+        id: u32,
+    },
+    /// The instructor emulates a network between the server and a participant.
+    Emulated {
+        /// The participant's number.
+        participant: ParticipantId,
+        /// Delay and loss; [`Emulation::NONE`] ends it.
+        emulation: Emulation,
+    },
 }
 
-/// A stroke of the blade through the tissue, in the rest frame of the model.
+impl OperationKind {
+    /// Whether it changes the topology.
+    pub const fn changes_topology(&self) -> bool {
+        matches!(
+            self,
+            Self::Cut(_) | Self::Reset | Self::Undone | Self::Redone
+        )
+    }
+
+    /// Whether every number is in range and every text is visible.
+    pub fn is_valid(&self) -> bool {
+        match self {
+            Self::Cut(stroke) => stroke.is_valid(),
+            Self::ToolChanged { tool, .. } => tool.is_valid(),
+            Self::ForceLimit { newtons, .. } => newtons.is_none_or(is_force_limit),
+            Self::CompensationMode { mode } => is_mode(*mode),
+            Self::Annotated(annotation) => annotation.is_valid(),
+            Self::CameraShown(view) => view.is_valid(),
+            Self::Frozen { held, .. } => held.iter().all(|h| h.pose.is_valid()),
+            Self::Invited { name, .. } => name.as_deref().is_none_or(is_name),
+            Self::Emulated { emulation, .. } => emulation.is_valid(),
+            _ => true,
+        }
+    }
+}
+
+/// A tool that holds its pose while the session is frozen.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct HeldTool {
+    /// The participant.
+    pub participant: ParticipantId,
+    /// The pose, that of the newest sample that the server had.
+    pub pose: Pose,
+    /// Its buttons, as in a sample.
+    pub buttons: u8,
+}
+
+/// A stroke of the blade through the tissue, or the part of it since the part before, in the rest frame of the model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CutStroke {
+    /// When the author began the stroke. Parts with equal author and beginning are one stroke.
+    pub began: ServerTime,
+    /// Whether the path continues at the last point of the part before it.
+    pub joins: bool,
     /// The poses of the blade in order, at most [`STROKE_MAX_POINTS`].
     #[serde(deserialize_with = "crate::bounded_list::at_most::<STROKE_MAX_POINTS, _, _>")]
     pub points: Vec<BladePoint>,
@@ -134,6 +258,12 @@ impl BladePoint {
 }
 
 impl CutStroke {
+    /// Number of the stroke of an author, equal for all its parts and no other stroke of a session.
+    pub fn number(&self, author: ParticipantId) -> u64 {
+        let began = (self.began - ServerTime::ZERO).as_micros() as u64;
+        u64::from(author.0) << 48 | (began & ((1 << 48) - 1))
+    }
+
     /// Whether the stroke has 1 to [`STROKE_MAX_POINTS`] valid points and a width of at most 0.1 m.
     pub fn is_valid(&self) -> bool {
         (1..=STROKE_MAX_POINTS).contains(&self.points.len())

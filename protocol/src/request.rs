@@ -2,9 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::control::Control;
 use crate::handshake::{Hello, Refused, Welcome};
 use crate::operation::{BladePoint, Operation, STROKE_MAX_POINTS};
-use crate::{RequestId, ServerTime, TopologyHash};
+use crate::tool::ToolDescription;
+use crate::{Grant, RequestId, ServerTime, TopologyHash};
 
 /// The messages of a client on the operations stream after the preamble.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -31,6 +33,18 @@ pub enum ServerMessage {
         /// The reason, for people.
         sentence: String,
     },
+    /// The answer to [`Control::Invite`], for the requester alone.
+    Invitation(Invitation),
+}
+
+/// A new invitation with its secret. The server sends it after the operation
+/// [`Invited`](crate::operation::OperationKind::Invited) with the same number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Invitation {
+    /// Its number.
+    pub id: u32,
+    /// The secret that admits its holder.
+    pub grant: Grant,
 }
 
 /// One request of a client.
@@ -57,6 +71,10 @@ pub enum RequestKind {
         /// The hash it has.
         hash: TopologyHash,
     },
+    /// Hold another tool.
+    SetTool(ToolDescription),
+    /// Control the session; for instructors.
+    Control(Control),
 }
 
 impl RequestKind {
@@ -64,28 +82,47 @@ impl RequestKind {
     pub fn is_valid(&self) -> bool {
         match self {
             Self::Cut(cut) => cut.is_valid(),
+            Self::SetTool(tool) => tool.is_valid(),
+            Self::Control(control) => control.is_valid(),
             Self::Leave | Self::TopologyReport { .. } => true,
         }
     }
 }
 
-/// A stroke as the participant's hand made it: in the world frame, on the deformed tissue.
+/// A stroke, or the part of it since the part before, as the participant's hand made it: in the world frame, on the
+/// deformed tissue. A client sends parts while the blade moves.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CutRequest {
-    /// The blade over time, oldest first, at most [`STROKE_MAX_POINTS`].
+    /// When the stroke began, by the time of its first point. Parts with an equal beginning are one stroke.
+    pub began: ServerTime,
+    /// The blade over time, oldest first, at most [`STROKE_MAX_POINTS`]. A later part begins with the last point of the part
+    /// before.
     #[serde(deserialize_with = "crate::bounded_list::at_most::<STROKE_MAX_POINTS, _, _>")]
     pub points: Vec<TimedBladePoint>,
     /// Width of the blade in metres.
     pub width_m: f64,
+    /// Whether the stroke ends with this part.
+    pub is_last: bool,
 }
 
 impl CutRequest {
-    /// Whether there are 1 to [`STROKE_MAX_POINTS`] valid points in the order of time and the
+    /// A whole stroke.
+    pub fn whole(points: Vec<TimedBladePoint>, width_m: f64) -> Self {
+        Self {
+            began: points.first().map_or(ServerTime::ZERO, |p| p.time),
+            points,
+            width_m,
+            is_last: true,
+        }
+    }
+
+    /// Whether there are 1 to [`STROKE_MAX_POINTS`] valid points in the order of time, none before the beginning, and the
     /// width is at most 0.1 m.
     pub fn is_valid(&self) -> bool {
         (1..=STROKE_MAX_POINTS).contains(&self.points.len())
             && self.points.iter().all(|p| p.blade.is_valid())
             && self.points.is_sorted_by_key(|p| p.time)
+            && self.points.iter().all(|p| self.began <= p.time)
             && (0.0..=0.1).contains(&self.width_m)
     }
 }
@@ -152,4 +189,22 @@ pub enum RequestRefusal {
         "the stroke does not follow your tool: {0}; the server must receive the tool's motion during the stroke, so check the network and repeat the stroke"
     )]
     NotAtTool(String),
+    /// No cut is in effect.
+    #[error("there is no cut to undo")]
+    NothingToUndo,
+    /// No cut was taken back since the last cut.
+    #[error("there is no cut to redo")]
+    NothingToRedo,
+    /// The session is frozen.
+    #[error("the instructor has frozen the session; wait until it continues")]
+    Frozen,
+    /// The requester's tool is muted.
+    #[error("the instructor has muted your tool; wait until it is active again")]
+    Muted,
+    /// No participant has the number.
+    #[error("the participant has left the session")]
+    UnknownParticipant,
+    /// A value is not possible in this session.
+    #[error("{0}")]
+    OutOfRange(String),
 }

@@ -1,10 +1,13 @@
 //! Tool samples: poses with times.
 
+use serde::{Deserialize, Serialize};
+
+use crate::datagram::POSITION_MAX_M;
 use crate::lateness::Lateness;
 use crate::{ClientTime, ParticipantId, ServerTime};
 
 /// A rigid pose in the world frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// Position in metres.
     pub position_m: [f64; 3],
@@ -18,6 +21,14 @@ impl Pose {
         position_m: [0.0; 3],
         orientation: [0.0, 0.0, 0.0, 1.0],
     };
+}
+
+impl Pose {
+    /// Whether the position is in range and the quaternion a unit quaternion.
+    pub fn is_valid(&self) -> bool {
+        let norm = self.orientation.iter().map(|q| q * q).sum::<f64>();
+        self.position_m.iter().all(|x| x.abs() <= POSITION_MAX_M) && (norm - 1.0).abs() < 1e-3
+    }
 }
 
 impl Default for Pose {

@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 
 use palpate_protocol::codec::{self, Message};
+use palpate_protocol::control::Control;
 use palpate_protocol::datagram::{Body, Datagram, Memory};
 use palpate_protocol::examples::{self, Example};
 use palpate_protocol::handshake::{PROTOCOL_VERSION, Preamble};
@@ -155,9 +156,38 @@ fn every_client_message_and_request_is_in_the_document() {
             RequestKind::Cut(_) => (0, "Cut"),
             RequestKind::Leave => (1, "Leave"),
             RequestKind::TopologyReport { .. } => (2, "TopologyReport"),
+            RequestKind::SetTool(_) => (3, "SetTool"),
+            RequestKind::Control(_) => (4, "Control"),
         }),
     };
-    assert_rows(messages.iter().filter_map(request), 3);
+    assert_rows(messages.iter().filter_map(request), 5);
+    let control = |m: &Example<ClientMessage>| match &m.message {
+        ClientMessage::Request(r) => match &r.kind {
+            RequestKind::Control(control) => Some(match control {
+                Control::Mute { .. } => (0, "Mute"),
+                Control::HandOver { .. } => (1, "HandOver"),
+                Control::Freeze { .. } => (2, "Freeze"),
+                Control::Reset => (3, "Reset"),
+                Control::Undo => (4, "Undo"),
+                Control::Redo => (5, "Redo"),
+                Control::ForceLimit { .. } => (6, "ForceLimit"),
+                Control::Kick { .. } => (7, "Kick"),
+                Control::Ban { .. } => (8, "Ban"),
+                Control::Lock { .. } => (9, "Lock"),
+                Control::Capacity { .. } => (10, "Capacity"),
+                Control::Compensation { .. } => (11, "Compensation"),
+                Control::Annotate(_) => (12, "Annotate"),
+                Control::RemoveAnnotation { .. } => (13, "RemoveAnnotation"),
+                Control::ShowCamera(_) => (14, "ShowCamera"),
+                Control::Invite { .. } => (15, "Invite"),
+                Control::RevokeInvitation { .. } => (16, "RevokeInvitation"),
+                Control::Emulate { .. } => (17, "Emulate"),
+            }),
+            _ => None,
+        },
+        ClientMessage::Hello(_) => None,
+    };
+    assert_rows(messages.iter().filter_map(control), 18);
 }
 
 #[test]
@@ -169,8 +199,9 @@ fn every_server_message_and_operation_is_in_the_document() {
         ServerMessage::Operation(_) => (2, "Operation"),
         ServerMessage::RequestRefused(_) => (3, "RequestRefused"),
         ServerMessage::Goodbye { .. } => (4, "Goodbye"),
+        ServerMessage::Invitation(_) => (5, "Invitation"),
     };
-    assert_rows(messages.iter().map(message), 5);
+    assert_rows(messages.iter().map(message), 6);
     let operation = |m: &Example<ServerMessage>| match &m.message {
         ServerMessage::Operation(o) => Some(match o.kind {
             OperationKind::Cut(_) => (0, "Cut"),
@@ -183,10 +214,25 @@ fn every_server_message_and_operation_is_in_the_document() {
             OperationKind::Compensation { .. } => (7, "Compensation"),
             OperationKind::Demoted { .. } => (8, "Demoted"),
             OperationKind::Restored { .. } => (9, "Restored"),
+            OperationKind::Muted { .. } => (10, "Muted"),
+            OperationKind::Frozen { .. } => (11, "Frozen"),
+            OperationKind::Reset => (12, "Reset"),
+            OperationKind::Undone => (13, "Undone"),
+            OperationKind::Redone => (14, "Redone"),
+            OperationKind::ForceLimit { .. } => (15, "ForceLimit"),
+            OperationKind::Access { .. } => (16, "Access"),
+            OperationKind::CompensationMode { .. } => (17, "CompensationMode"),
+            OperationKind::Annotated(_) => (18, "Annotated"),
+            OperationKind::AnnotationRemoved { .. } => (19, "AnnotationRemoved"),
+            OperationKind::CameraShown(_) => (20, "CameraShown"),
+            OperationKind::Invited { .. } => (21, "Invited"),
+            OperationKind::InvitationUsed { .. } => (22, "InvitationUsed"),
+            OperationKind::InvitationRevoked { .. } => (23, "InvitationRevoked"),
+            OperationKind::Emulated { .. } => (24, "Emulated"),
         }),
         _ => None,
     };
-    assert_rows(messages.iter().filter_map(operation), 10);
+    assert_rows(messages.iter().filter_map(operation), 25);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use palpate_anatomy::{BuildReport, DISTANCE_REACH, SceneInput, build};
-use palpate_tissue::ModelFile;
+use palpate_tissue::file::ModelFile;
 use serde::{Deserialize, Serialize};
 
 use crate::export::{Exports, keep_apart, put_in_place};
@@ -67,7 +67,7 @@ pub(crate) fn build_file(
     Ok(summary)
 }
 
-fn progress_bar() -> ProgressBar {
+pub(crate) fn progress_bar() -> ProgressBar {
     // indicatif draws on standard error, and only on a terminal.
     let bar = ProgressBar::new(100);
     if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} % {msg}") {

@@ -7,6 +7,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use crate::cut::{self, CutOptions};
 use crate::export::Exports;
 use crate::host::{self, HostOptions};
 use crate::inspect::Picture;
@@ -42,6 +43,28 @@ A scene names closed surfaces, or the labels of a segmentation. Surfaces are loo
 
 A [[region]] takes the keys of a material too, for itself alone.";
 
+/// The end of `cut --help`.
+const CUT: &str = "\
+The strokes file lists the strokes in order. Lengths are in mm:
+  [[stroke]]
+  points_mm = [[-30.0, 65.5, 100.0], [0.0, 73.2, 100.0], [30.0, 66.0, 100.0]]
+  depth_mm = 25.0                     # below the points; or a list with one depth per point
+  width_mm = 0.5                      # of the wound at its top; default 0: closed
+  direction = [0.0, -1.0, 0.0]        # of the depth; default: the inward normal at each point
+
+A stroke has 2 to 4096 points on the surface; give a direction if its path leaves the model. A
+point is the place where the blade enters; its tip is one depth further along the direction. An
+impossible stroke is refused with its reason and changes nothing; the command then succeeds. The
+report counts strokes and points from 0. Its times are per stroke.
+
+The output is a model in which the cuts can not be taken back. Strokes on it continue the cuts. The
+mass of a cell in it follows its volume after the cuts.
+
+Examples:
+  palpate-server cut thigh --strokes strokes.toml -o cut.palp --png wound.png
+  palpate-server cut cut.palp --strokes more.toml -o cut-again.palp --json
+  palpate-server host cut.palp";
+
 /// The end of `host --help`.
 const HOST: &str = "\
 Roles, each with a join link of its own:
@@ -70,6 +93,7 @@ Examples:
         palpate-server build thigh/thigh.toml -o thigh.palp\n  \
         palpate-server inspect thigh.palp --png thigh.png --slice z=100\n  \
         palpate-server inspect segmentation.nii.gz     its labels, to write a scene for it\n  \
+        palpate-server cut thigh.palp --strokes strokes.toml -o cut.palp\n  \
         palpate-server host thigh.palp --listen 0.0.0.0:4433 --public operating.example.org\n\n\
         A trainee joins with `palpate-client join LINK`, where LINK is what `host` prints.\n\n\
         PALPATE_LOG=debug (or RUST_LOG) logs more to standard error; the levels are error, warn, info, debug and trace."
@@ -107,6 +131,9 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Cut a model along strokes, without a session
+    #[command(after_help = CUT)]
+    Cut(CutOptions),
     /// Show the contents of a model file or a label volume
     Inspect {
         /// The model file (.palp), or a label volume: .nii, .nii.gz, .nrrd, .nhdr, a DICOM folder
@@ -171,6 +198,14 @@ fn execute(command: Command) -> Result<(), ServerError> {
                 let text = build::describe(&summary);
                 print_result(&format!("{text}\nwritten to {}", output.display()))?;
             }
+        }
+        Command::Cut(options) => {
+            let summary = options.run()?;
+            print_result(&if options.json {
+                serde_json::json!(summary).to_string()
+            } else {
+                cut::describe(&summary)
+            })?;
         }
         Command::Inspect {
             file,

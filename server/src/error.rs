@@ -1,7 +1,7 @@
 //! Errors of the server's commands.
 
 use palpate_anatomy::InputError;
-use palpate_tissue::{FileError, WriteError};
+use palpate_tissue::file::{FileError, WriteError};
 use palpate_transport::TransportError;
 
 /// Error of a command of the server.
@@ -19,6 +19,12 @@ pub enum ServerError {
     /// The network can not be used.
     #[error(transparent)]
     Transport(#[from] TransportError),
+    /// The certificate of the page can not be used.
+    #[error(transparent)]
+    PageTls(#[from] palpate_transport::PageTlsError),
+    /// The page can not be served.
+    #[error(transparent)]
+    View(#[from] palpate_view::ViewError),
     /// The identity of the host can not be used or kept.
     #[error("the host's identity {} can not be used: {why}", path.display())]
     Identity {

@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use clap::Args;
 use palpate_anatomy::export::{stage_stl, stage_vtu};
-use palpate_tissue::{Model, Shape, Staged, Topology, WriteError};
+use palpate_tissue::file::{Staged, WriteError};
+use palpate_tissue::{Model, Shape, Topology};
 
 use crate::ServerError;
 

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use palpate_anatomy::LabelVolume;
-use palpate_tissue::{Material, ModelFile, Region, Staged, model_hash};
+use palpate_tissue::file::{ModelFile, Staged};
+use palpate_tissue::snapshot::model_hash;
+use palpate_tissue::{Material, Region};
 use serde_json::{Value, json};
 
 use crate::ServerError;
@@ -141,6 +143,16 @@ fn inspect_model(
     };
     // Writing to a string does not fail.
     let _ = write!(text, "\nmodel {hash}, {:.2} MB", bytes as f64 / 1e6);
+    for cut in value["cuts"].as_array().into_iter().flatten() {
+        let _ = write!(
+            text,
+            "\ncut: {} of {} strokes applied, {} component(s) afterwards, topology {}",
+            cut["applied"],
+            cut["operations"],
+            cut["components"].as_array().map_or(0, Vec::len),
+            cut["topology_hash"].as_str().unwrap_or_default()
+        );
+    }
     if file.model.gravity != [0.0; 3] {
         let [x, y, z] = file.model.gravity;
         let _ = write!(text, "\ngravity [{x}, {y}, {z}] m/s2");

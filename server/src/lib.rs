@@ -7,6 +7,7 @@
 
 pub mod build;
 pub mod cli;
+pub mod cut;
 mod error;
 mod export;
 pub mod host;

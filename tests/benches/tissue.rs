@@ -11,7 +11,7 @@ use palpate_anatomy::build;
 use palpate_anatomy::sample::Sample;
 use palpate_lab::tool_location::ToolLocation;
 use palpate_lab::wound::Wound;
-use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Tissue, Tool, Topology, Vec3, block};
 
 const MM: f64 = 1e-3;
 /// Side of the cube, displacement of its top, and radius of the disc.
@@ -45,17 +45,17 @@ fn cube_from_rest(bencher: Bencher<'_, '_>, n: usize) {
         d.z.abs() < 1e-3 * spacing && d.norm() <= DISC
     };
     let disc: Vec<u32> = (0..topology.node_count() as u32).filter(under).collect();
-    let like = Solver::new(&topology);
+    let like = Tissue::at_rest(topology);
     let start = || {
-        let (mut solver, mut shape) = (like.another(&topology), Shape::rest(&topology));
+        let mut tissue = like.another();
         for &node in &disc {
-            solver.hold(&topology, &mut shape, node, Vec3::z() * -DEPTH);
+            tissue.hold(node, Vec3::z() * -DEPTH);
         }
-        (solver, shape)
+        tissue
     };
-    bencher.with_inputs(start).bench_refs(|(solver, shape)| {
+    bencher.with_inputs(start).bench_refs(|tissue| {
         let budget = Budget::new(100, 1e-3);
-        solver.step(&topology, shape, &[], budget).residual
+        tissue.step(&[], budget).residual
     });
 }
 
@@ -67,7 +67,7 @@ fn press_tick_on_the_thigh(bencher: Bencher<'_, '_>, wound: bool) {
     if wound {
         Wound::open(&mut topology, &mut place).unwrap();
     }
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut tissue = Tissue::at_rest(topology);
     let (mut depth, mut way) = (0.0, PER_TICK);
     bencher.bench_local(|| {
         if depth > DEPTHS[1] || (depth < DEPTHS[0] && way < 0.0) {
@@ -79,7 +79,7 @@ fn press_tick_on_the_thigh(bencher: Bencher<'_, '_>, wound: bool) {
             near: true,
             ..Budget::new(1, 2.5e-2)
         };
-        let report = solver.step(&topology, &mut shape, &[tool], budget);
+        let report = tissue.step(&[tool], budget);
         report.residual
     });
 }

@@ -12,10 +12,12 @@ use crate::attack;
 use crate::bench::ablate::Ablate;
 use crate::bench::bytes::Bytes;
 use crate::bench::coding::Coding;
+use crate::bench::cut_time::CutTime;
 use crate::bench::cuts::CutLoad;
 use crate::bench::haptic_tick::HapticTick;
 use crate::bench::press_cube::PressCube;
 use crate::bench::press_scene::PressScene;
+use crate::bench::view_cost::ViewCost;
 use crate::bench::{Benchmark, OnStage};
 use crate::demo;
 use crate::experiments::{command, run_all};
@@ -68,6 +70,7 @@ Examples:
   palpate-lab bench press-scene thigh.toml --json
   palpate-lab bench coding --round-trip-ms 200
   palpate-lab bench bytes --model thigh.palp
+  palpate-lab bench view-cost --seconds 30
 
 Compare only figures of one run on one machine; other load changes them.";
 
@@ -155,8 +158,12 @@ enum Bench {
     Bytes(Box<Measurement<Bytes>>),
     /// Load of a trainee's threads while other trainees cut beside the press
     Cuts(Measurement<CutLoad>),
+    /// Time of one blade sample against the size of the model
+    CutTime(Measurement<CutTime>),
     /// Time one tick of the force loop: read, compute, write
     HapticTick(Measurement<HapticTick>),
+    /// Cost of a trainee's own page: force error, lateness and CPU time with and without it
+    ViewCost(Box<Measurement<ViewCost>>),
 }
 
 /// A benchmark and the form of its report.
@@ -193,7 +200,9 @@ impl Bench {
             Self::Coding(measurement) => measurement,
             Self::Bytes(measurement) => measurement.as_ref(),
             Self::Cuts(measurement) => measurement,
+            Self::CutTime(measurement) => measurement,
             Self::HapticTick(measurement) => measurement,
+            Self::ViewCost(measurement) => measurement.as_ref(),
         }
     }
 }

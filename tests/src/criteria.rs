@@ -25,6 +25,10 @@ pub const REFERENCE_ERROR_PERCENT: f64 = 5.0;
 /// Maximum distance of a cut from that of the reference, mm: half the finest lattice spacing in use.
 pub const CUT_APART_MM: f64 = 2.0;
 
+/// Maximum median time by which a trainee sees parts of strokes behind the blade, ms: a hand at 20 mm/s is then 5 mm
+/// ahead of its wound.
+pub const CUT_BEHIND_MS: f64 = 250.0;
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Bound {
@@ -185,6 +189,12 @@ impl Judged {
         let arrived = arrived.map(|n| n.min(report.cut.operations));
         let lost = arrived.map(|n| expected.strokes.saturating_sub(n));
         self.none_of("lost cuts", lost);
+        for name in expected.trainees {
+            let late = report.cut.late_ms.iter().find(|l| l.participant == *name);
+            let median = late.filter(|l| l.parts > 0).map(|l| l.p50_ms);
+            let what = format!("cuts behind the blade, seen by the {name}");
+            self.at_most(what, median, CUT_BEHIND_MS, "ms");
+        }
         let server = &report.server.topology_hash;
         let hashes = participants.iter().map(|p| &p.summary.topology_hash);
         let differ = hashes.filter(|hash| *hash != server).count() as u64;

@@ -4,6 +4,7 @@
 pub(crate) mod command;
 pub(crate) mod pair;
 
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -11,6 +12,7 @@ use clap::Args;
 use maud::{DOCTYPE, PreEscaped, html};
 use palpate_client::Recording;
 use palpate_server::host::HostSummary;
+use palpate_view::{SERVER_VIEW, parse_view};
 
 use crate::chart::Mark;
 use crate::cpu::cpu_of;
@@ -22,9 +24,9 @@ use crate::plots::{self, TraineeForces};
 use crate::progress::{Interrupt, Progress};
 use crate::reference::{Reference, ReferenceError};
 use crate::relay::{Profile, RelayStats};
-use crate::report::{CutReport, ReferenceReport, Report};
+use crate::report::{CutLateness, CutReport, ReferenceReport, Report};
 use crate::scripts::{SECONDS_MAX, SECONDS_MIN};
-use crate::session::{Hosting, Participant, ParticipantResult, Session, SessionError};
+use crate::session::{Hosting, ParticipantResult, Session, SessionError};
 use crate::stress::{PROCESSES_MAX, Stress};
 use pair::{NAMES, Pair, SETTLE, START_LEAD, file_error, remove_dead};
 
@@ -55,6 +57,12 @@ pub struct DemoOptions {
     /// Busy processes of ordinary priority beside the session: dropouts may then last 60 ms instead of 40
     #[arg(long, default_value_t = 0, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=i64::from(PROCESSES_MAX)))]
     pub stress: u16,
+    /// Both trainees cut across each other all the time, instead of one press and one cut
+    #[arg(long)]
+    pub crossing: bool,
+    /// Show the session in a browser, as its instructor, and keep it open until Ctrl-C
+    #[arg(long, value_name = "[ADDRESS:]PORT", num_args = 0..=1, default_missing_value = SERVER_VIEW, value_parser = parse_view)]
+    pub view: Option<SocketAddr>,
     /// Print the report as one JSON object
     #[arg(long)]
     pub json: bool,
@@ -117,9 +125,19 @@ pub fn run(
     })?;
     let dir = options.report.as_deref().unwrap_or(scratch.path());
     std::fs::create_dir_all(dir).map_err(|source| file_error(dir, source))?;
-    let pair = Pair::prepare(&options.model, options.seconds, dir, progress)?;
-    let run = session(options, dir, &pair, progress, interrupt)?;
-    let reference = pair.reference(&run.results, progress, interrupt)?;
+    let length = (options.seconds, options.crossing);
+    let pair = Pair::prepare(&options.model, length, dir, progress)?;
+    let (played, mut session) = play(options, dir, &pair, progress, interrupt)?;
+    let (run, reference) = if options.view.is_some() {
+        let reference = pair.reference(&played.results, progress, interrupt)?;
+        stay(&mut session, progress, interrupt)?;
+        (played.end(session)?, reference)
+    } else {
+        // First, so that the server's figures end with the session.
+        let run = played.end(session)?;
+        let reference = pair.reference(&run.results, progress, interrupt)?;
+        (run, reference)
+    };
     progress.stage("comparing the recordings");
     let (report, pictures) = conclude(options, &pair, run, reference);
     if let Some(dir) = &options.report {
@@ -128,14 +146,31 @@ pub fn run(
     Ok(report)
 }
 
-/// The session, from the start of the server to its end.
-fn session(
+/// Keeps a session with a page open until Ctrl-C.
+fn stay(
+    session: &mut Session,
+    progress: &mut Progress,
+    interrupt: &Interrupt,
+) -> Result<(), DemoError> {
+    let page = session.page().unwrap_or_default();
+    progress.stage(&format!(
+        "the session stays open; end with Ctrl-C, which prints the report: {page}"
+    ));
+    while !interrupt.is_set() {
+        session.server.check_alive().map_err(SessionError::from)?;
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    Ok(())
+}
+
+/// Plays the scripts, from the start of the server until the participants have left.
+fn play(
     options: &DemoOptions,
     dir: &Path,
     pair: &Pair,
     progress: &mut Progress,
     interrupt: &Interrupt,
-) -> Result<Run, DemoError> {
+) -> Result<(Played, Session), DemoError> {
     progress.stage(&format!(
         "a server with {} nodes, two trainees, network {}",
         pair.test_model.model.nodes.len(),
@@ -148,7 +183,14 @@ fn session(
         seed: options.seed,
         compensation: &options.compensation,
         start_when: 2,
+        view: options.view,
+        seats: None,
     })?;
+    if let Some(page) = session.page() {
+        progress.stage(&format!("the session in a browser: {page}"));
+        // Without a browser the printed address serves another one.
+        let _ = open::that_detached(page);
+    }
     let mut stress =
         Stress::start(&options.executable, options.stress).map_err(SessionError::from)?;
     let mut participants = pair.join(&session, progress, interrupt)?;
@@ -193,22 +235,26 @@ fn session(
     }
     progress.stage("participants leave and write their recordings");
     drop(stress);
-    finish(session, participants, problems)
+    let results = pair::leave(participants, &mut problems);
+    Ok((Played { results, problems }, session))
 }
 
-fn finish(
-    session: Session,
-    participants: Vec<Participant>,
-    mut problems: Vec<String>,
-) -> Result<Run, DemoError> {
-    let results = pair::leave(participants, &mut problems);
-    let (host, network) = session.end()?;
-    Ok(Run {
-        host,
-        network,
-        results,
-        problems,
-    })
+/// Results of the participants.
+struct Played {
+    results: Vec<ParticipantResult>,
+    problems: Vec<String>,
+}
+
+impl Played {
+    fn end(self, session: Session) -> Result<Run, DemoError> {
+        let (host, network) = session.end()?;
+        Ok(Run {
+            host,
+            network,
+            results: self.results,
+            problems: self.problems,
+        })
+    }
 }
 
 /// The plots of a report.
@@ -264,6 +310,7 @@ fn conclude(
         components: run.host.components,
         boundary_closed: run.host.boundary_closed,
         applied_after_ms: applied_after(&recordings),
+        late_ms: recordings.iter().map(|r| CutLateness::of(r)).collect(),
     };
     let disagreement = Disagreement::between(&recordings);
     let pictures = draw(
@@ -335,11 +382,13 @@ fn draw(
         .unwrap_or(0);
     let seconds = |us: i64| (us - zero_us) as f64 * 1e-6;
     let mut marks = Vec::new();
-    let cuts = recordings.first().into_iter().flat_map(|r| &r.operations);
-    let mut version = 0;
-    for operation in cuts {
-        if operation.version > version {
-            version = operation.version;
+    let operations = recordings.first().into_iter().flat_map(|r| &r.operations);
+    let mut began = None;
+    for operation in operations {
+        let stroke = operation.stroke.as_ref().map(|part| part.began);
+        // One mark per stroke, at its first part.
+        if stroke.is_some() && began != stroke {
+            began = stroke;
             marks.push(Mark {
                 x: seconds(operation.applied_us),
                 label: "cut applied".to_owned(),

@@ -45,6 +45,7 @@ mod experiments;
 mod force_error;
 mod hand;
 mod haptic_faults;
+mod headless_page;
 mod histogram;
 mod input_file;
 mod load_test;

@@ -304,6 +304,13 @@ impl Program {
             .any(|l| l.contains(phrase))
     }
 
+    /// The rest of the first line on standard error that contains a phrase, among its first and last lines.
+    pub fn said_after(&self, phrase: &str) -> Option<String> {
+        let said = lock(&self.said);
+        let mut lines = said.head.iter().chain(&said.tail);
+        lines.find_map(|l| Some(l.split_once(phrase)?.1.to_owned()))
+    }
+
     pub(crate) fn late(&self, what: &'static str, within: Duration) -> ProgramError {
         ProgramError::Late {
             name: self.name.clone(),

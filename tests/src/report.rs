@@ -3,9 +3,11 @@
 use std::fmt;
 
 use palpate_client::Summary;
+use palpate_client::recording::Recording;
 use palpate_server::host::HostSummary;
 use serde::{Deserialize, Serialize};
 
+use crate::bench::quantile;
 use crate::cpu::{CpuRow, CpuTable};
 use crate::criteria::{self, Criterion, Expected};
 use crate::delay_figures::DelayFigures;
@@ -68,6 +70,41 @@ pub struct CutReport {
     pub boundary_closed: bool,
     /// Time at which each participant applied the first cut, ms after the first one.
     pub applied_after_ms: Vec<(String, f64)>,
+    pub late_ms: Vec<CutLateness>,
+}
+
+/// Time from the moment when a site shows the blade at the end of a part of a stroke until it shows the part cut, ms.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct CutLateness {
+    pub participant: String,
+    /// Parts that the participant saw cut.
+    pub parts: usize,
+    pub p50_ms: f64,
+    pub p95_ms: f64,
+    pub max_ms: f64,
+}
+
+impl CutLateness {
+    pub fn of(recording: &Recording) -> Self {
+        let cuts = recording.operations.iter().filter(|o| o.stroke.is_some());
+        let late: Vec<f64> = cuts
+            .filter_map(|o| Some(o.late_us? as f64 * 1e-3))
+            .collect();
+        let at = |share| {
+            if late.is_empty() {
+                0.0
+            } else {
+                quantile(&late, share)
+            }
+        };
+        Self {
+            participant: recording.name.clone(),
+            parts: late.len(),
+            p50_ms: at(0.5),
+            p95_ms: at(0.95),
+            max_ms: at(1.0),
+        }
+    }
 }
 
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -266,6 +303,13 @@ impl fmt::Display for Brief<'_> {
             "views                    {:.2} mm apart at the same instant (95 %), {:.2} mm for the same moment",
             r.view_disagreement_mm.p95, r.content_disagreement_mm.p95
         )?;
+        for late in r.cut.late_ms.iter().filter(|late| late.parts > 0) {
+            writeln!(
+                f,
+                "cuts seen by {:<10} {} parts, behind the blade by {:.0} ms (median), {:.0} ms (95 %), {:.0} ms (largest)",
+                late.participant, late.parts, late.p50_ms, late.p95_ms, late.max_ms
+            )?;
+        }
         let cores = r
             .cpu
             .iter()

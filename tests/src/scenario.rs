@@ -19,7 +19,7 @@ use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Events};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{ClientTime, ParticipantId, Span};
 use palpate_site::{HAPTIC_PERIOD, Replica, ToolAt, hand_budget};
-use palpate_tissue::{Budget, Model, Reaction, Shape, Solver, Tool, Topology};
+use palpate_tissue::{Budget, Model, Reaction, Tissue, Tool};
 use serde::Serialize;
 
 use crate::experiments::Table;
@@ -230,14 +230,13 @@ impl Scenario {
     }
 
     fn converge(&self, points: &mut [Point], progress: &mut dyn FnMut(f64)) {
-        let topology = Topology::new(Arc::clone(&self.model));
-        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        let mut tissue = Tissue::new(Arc::clone(&self.model));
         let count = points.len();
         for (k, point) in points.iter_mut().enumerate().step_by(CHECK_MS as usize) {
             let at = self.path.pose(point.t_s);
             let tools: Vec<Tool> = self.at(&at).contacts().collect();
             let budget = Budget::new(ITERATIONS, CONVERGED);
-            let report = solver.step(&topology, &mut shape, &tools, budget);
+            let report = tissue.step(&tools, budget);
             point.solution = Some(solution(&report.reactions, &at, report.residual));
             progress(k as f64 / count as f64);
         }

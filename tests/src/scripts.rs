@@ -11,12 +11,14 @@
 //! cutter       ^-press-^lift    |=== stroke ===|lift  ^-press hold-^
 //! ```
 
+mod crossing;
+
 use std::sync::Arc;
 
 use nalgebra::{Rotation3, UnitQuaternion};
 use palpate_device::script::{Hand, Tool, Waypoint};
 use palpate_device::{Script, ScriptError};
-use palpate_tissue::{Model, Solver, Topology, Vec3};
+use palpate_tissue::{Model, Tissue, Topology, Vec3};
 
 use crate::tool_location::{SurfacePoint, ToolLocation};
 
@@ -129,13 +131,31 @@ impl Path {
 impl Scripts {
     /// Scripts of `seconds` for the best location on a model, sagged by its weight.
     pub fn for_model(model: &Arc<Model>, seconds: f64) -> Result<Self, String> {
+        Self::at_best(model, |location| Self::for_location(location, seconds))
+    }
+
+    /// The same for two trainees who cut across each other all the time.
+    pub fn crossing(model: &Arc<Model>, seconds: f64) -> Result<Self, String> {
+        Self::at_best(model, |location| {
+            let sizes = Sizes::of(location);
+            let blade = |is_across| crossing::blade(location, &sizes, seconds, is_across);
+            Ok(Self {
+                holder: blade(false)?,
+                cutter: blade(true)?,
+            })
+        })
+    }
+
+    fn at_best(
+        model: &Arc<Model>,
+        scripts: impl Fn(&ToolLocation) -> Result<Self, ScriptError>,
+    ) -> Result<Self, String> {
         let topology = Topology::new(Arc::clone(model));
         let mut location = ToolLocation::find(&topology)?;
         if model.gravity != [0.0; 3] {
-            location.sag(&topology, &Solver::new(&topology));
+            location.sag(&Tissue::at_rest(topology));
         }
-        let scripts = Self::for_location(&location, seconds);
-        scripts.map_err(|e| format!("the generated scripts are invalid: {e}"))
+        scripts(&location).map_err(|e| format!("the generated scripts are invalid: {e}"))
     }
 
     pub fn for_location(location: &ToolLocation, seconds: f64) -> Result<Self, ScriptError> {

@@ -25,6 +25,9 @@ const JOIN_WITHIN: Duration = Duration::from_secs(60);
 /// Message of a client on standard error after it has joined.
 const JOINED: &str = "joined as";
 
+/// Words of a client on standard error before the address of its page.
+const PAGE_AT: &str = "the page is at ";
+
 /// Maximum time of a process from the request to its end: it writes its recording.
 const END_WITHIN: Duration = Duration::from_secs(30);
 
@@ -32,7 +35,7 @@ const END_WITHIN: Duration = Duration::from_secs(30);
 const RECORDING_BYTES_MAX: u64 = 1 << 30;
 
 /// Loopback with any free port.
-const HERE: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+pub(crate) const HERE: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
 /// Failure of a session.
 #[derive(Debug, thiserror::Error)]
@@ -80,6 +83,10 @@ pub struct Hosting<'a> {
     pub compensation: &'a str,
     /// Start the scripts once this many tools have joined.
     pub start_when: u16,
+    /// Address of the page.
+    pub view: Option<SocketAddr>,
+    /// Number of seats, and of those among them that spectators may take; `None` for the defaults of the server.
+    pub seats: Option<[u16; 2]>,
 }
 
 /// A running server behind a relay. Dropping it ends both.
@@ -127,6 +134,14 @@ impl Session {
             hosting.compensation,
         ];
         arguments.extend(options.map(OsString::from));
+        if let Some(view) = hosting.view {
+            arguments.extend(["--view".into(), view.to_string().into()]);
+        }
+        if let Some([seats, spectators]) = hosting.seats {
+            for (option, count) in [("--seats", seats), ("--spectators", spectators)] {
+                arguments.extend([option.into(), count.to_string().into()]);
+            }
+        }
         let mut server = Program::start("server", hosting.executable, arguments)?;
         let listening: Listening = server.json("listen", LISTEN_WITHIN)?;
         let to = listening.listening;
@@ -138,6 +153,11 @@ impl Session {
             listening,
             relay,
         })
+    }
+
+    /// Address of the instructor's page, if the session has one.
+    pub fn page(&self) -> Option<&str> {
+        self.listening.pages.get("instructor").map(String::as_str)
     }
 
     /// The join link for a role, straight to the server.
@@ -163,6 +183,28 @@ impl Session {
         script: Option<&Path>,
         dir: &Path,
     ) -> Result<Participant, SessionError> {
+        self.start_client(name, role, script, None, dir)
+    }
+
+    /// The same, with a page of its own at any free port.
+    pub fn join_with_view(
+        &self,
+        name: &str,
+        role: &'static str,
+        script: Option<&Path>,
+        dir: &Path,
+    ) -> Result<Participant, SessionError> {
+        self.start_client(name, role, script, Some(HERE), dir)
+    }
+
+    fn start_client(
+        &self,
+        name: &str,
+        role: &'static str,
+        script: Option<&Path>,
+        view: Option<SocketAddr>,
+        dir: &Path,
+    ) -> Result<Participant, SessionError> {
         let record = dir.join(format!("{name}.recording.json"));
         let link = self.link(role)?.to_string();
         let options = [
@@ -182,6 +224,9 @@ impl Session {
             arguments.push(script.into());
             // Scripts of a session start at the same session time.
             arguments.extend(["--at", "session"].map(OsString::from));
+        }
+        if let Some(view) = view {
+            arguments.extend(["--view".into(), view.to_string().into()]);
         }
         let program = Program::start(format!("client {name}"), &self.executable, arguments)?;
         Ok(Participant { program, record })
@@ -216,6 +261,24 @@ impl Participant {
             std::thread::sleep(Duration::from_millis(10));
         }
         Ok(())
+    }
+
+    /// Waits for the address of its page, which it prints after it has joined.
+    pub fn page(&mut self) -> Result<String, SessionError> {
+        let began = Instant::now();
+        loop {
+            if let Some(address) = self.program.said_after(PAGE_AT) {
+                return Ok(address);
+            }
+            self.program.check_alive()?;
+            if began.elapsed() > JOIN_WITHIN {
+                return Err(self
+                    .program
+                    .late("print the address of its page", JOIN_WITHIN)
+                    .into());
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
     }
 
     /// Collects the results, after [`ask_to_end`](Program::ask_to_end) or after the process ended by itself.

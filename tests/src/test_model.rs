@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use palpate_anatomy::sample::Sample;
 use palpate_anatomy::{SceneInput, build};
-use palpate_tissue::{Material, Model, ModelFile, block};
+use palpate_tissue::file::ModelFile;
+use palpate_tissue::{Material, Model, block};
 
 use crate::bench::OnStage;
 

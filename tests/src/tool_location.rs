@@ -14,7 +14,7 @@
 
 use std::collections::BTreeMap;
 
-use palpate_tissue::{RegionId, Solver, Topology, Vec3};
+use palpate_tissue::{RegionId, Tissue, Topology, Vec3};
 
 /// Maximum number of candidate nodes for the centre. Each costs one pass over the unsuitable and pinned nodes.
 /// More do not improve the result, because adjacent candidates are similar.
@@ -175,11 +175,12 @@ fn normal_of(topology: &Topology, triangle: usize) -> Vec3 {
 
 impl ToolLocation {
     /// Moves the frame with the sag of the tissue under gravity, by the displacement of the nearest node.
-    pub fn sag(&mut self, topology: &Topology, solver: &Solver) {
+    pub fn sag(&mut self, tissue: &Tissue) {
+        let topology = tissue.topology();
         let nodes = topology.boundary().triangles.iter().flatten().copied();
         let apart = |node: &u32| (topology.rest(*node) - self.middle).norm();
         let nearest = nodes.min_by(|a, b| apart(a).total_cmp(&apart(b)));
-        let by = nearest.map_or_else(Vec3::zeros, |n| solver.sag_of(n));
+        let by = nearest.map_or_else(Vec3::zeros, |n| tissue.sag_of(n));
         self.middle += by;
         for corner in self.triangles.iter_mut().flatten() {
             *corner += by;

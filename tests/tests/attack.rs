@@ -51,6 +51,41 @@ fn an_attack_reports_every_figure_and_its_verdict() {
 }
 
 #[test]
+fn bad_pages_are_ended_or_refused_beside_an_honest_page() {
+    let _alone = alone();
+    let table = Table::new();
+    let out = Command::new(executable())
+        .args(["attack", "bad-pages", "--seconds", "4", "--json"])
+        .arg("--model")
+        .arg(&table.subject.file)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&out.stderr);
+    let report: Value =
+        serde_json::from_slice(&out.stdout).unwrap_or_else(|e| panic!("{e}: {said}"));
+    let counts = &report["runs"][0]["achieved"][0][1];
+    let of = |what: &str| counts[what].as_u64().unwrap_or(0);
+    for what in [
+        "joined",
+        "full shapes",
+        "pongs",
+        "pages ended by the server",
+        "foreign origins refused",
+        "states with markup as text",
+    ] {
+        assert!(of(what) > 0, "{what}: {counts}");
+    }
+    for what in [
+        "broken shapes",
+        "foreign origins accepted",
+        "annotations of a spectator shown",
+        "honest pages ended by the server",
+    ] {
+        assert_eq!(of(what), 0, "{what}: {counts}");
+    }
+}
+
+#[test]
 fn list_names_every_attack_and_unknown_names_are_rejected() {
     let run = |line: &[&str]| Command::new(executable()).args(line).output().unwrap();
     let list = run(&["attack", "--list"]);

@@ -63,6 +63,9 @@ fn every_example_runs_and_every_profile_is_valid() {
             let figures: Value = serde_json::from_str(&done(&["run", &name, "--json"])).unwrap();
             assert!(figures.is_object(), "{name}");
             runs += 1;
+        } else if text.contains("palpate-strokes/") {
+            // `tests/cut.rs` cuts with it.
+            assert!(text.contains("[[stroke]]"), "{name}");
         } else {
             done(&["profiles", &name]);
         }

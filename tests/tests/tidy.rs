@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use cargo_metadata::{Metadata, MetadataCommand};
 
 /// A package may depend only on packages of a lower level.
-const LEVELS: [(&str, u8); 11] = [
+const LEVELS: [(&str, u8); 12] = [
     ("palpate-device", 0),
     ("palpate-protocol", 0),
     ("palpate-tissue", 0),
@@ -20,9 +20,10 @@ const LEVELS: [(&str, u8); 11] = [
     ("palpate-haptics", 1),
     ("palpate-site", 2),
     ("palpate-transport", 2),
-    ("palpate-server", 3),
-    ("palpate-client", 3),
-    ("palpate-lab", 4),
+    ("palpate-view", 3),
+    ("palpate-server", 4),
+    ("palpate-client", 4),
+    ("palpate-lab", 5),
 ];
 
 /// Allowed top-level entries, besides those that begin with a dot.
@@ -59,6 +60,7 @@ const CONFINED: [(&str, &[&str]); 5] = [
         "tokio",
         &[
             "palpate-transport",
+            "palpate-view",
             "palpate-server",
             "palpate-client",
             "palpate-lab",
@@ -67,10 +69,11 @@ const CONFINED: [(&str, &[&str]); 5] = [
 ];
 
 /// Path prefixes of code that may read a clock; programs in `examples/` and `benches/` may too.
-const SHELLS: [&str; 5] = [
+const SHELLS: [&str; 6] = [
     "server/src/",
     "client/src/",
     "client/tests/",
+    "client/view/",
     "protocol/transport/",
     "tests/",
 ];
@@ -79,7 +82,10 @@ const SHELLS: [&str; 5] = [
 const LINES_MAX: usize = 600;
 
 /// Files that grow with the project and are not read sequentially.
-const LONG_BY_NATURE: [&str; 2] = ["Cargo.lock", "CHANGELOG.md"];
+const LONG_BY_NATURE: [&str; 3] = ["Cargo.lock", "CHANGELOG.md", "package-lock.json"];
+
+/// The built page and the packages that build it.
+const BUILT_PAGE: [&str; 2] = ["client/view/page/dist", "client/view/page/node_modules"];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -132,7 +138,9 @@ fn files() -> Vec<File> {
             if name == ".git" || (is_top && LEFT_BY_PROGRAMS.contains(&name.as_str())) {
                 continue;
             }
-            if entry == root.join(MADE_BY_FUZZERS) {
+            if entry == root.join(MADE_BY_FUZZERS)
+                || BUILT_PAGE.iter().any(|built| entry == root.join(built))
+            {
                 continue;
             }
             if entry.is_dir() {

@@ -84,6 +84,10 @@ pub(crate) struct ActiveContact {
     pub(crate) lever: Vector3<f64>,
     /// Force along the normal, N; negative only where tissue squeezes from two sides.
     pub(crate) normal_force: f64,
+    /// Stiffness of the tissue along the normal, N/m.
+    pub(crate) stiffness: f64,
+    /// Validity of the law, m.
+    pub(crate) reach: f64,
     /// Input of the friction stage.
     pub(crate) contact: Contact,
 }
@@ -173,6 +177,8 @@ impl Blend {
             index,
             lever: response_old.lever * a_t + response_new.lever * b_t,
             normal_force,
+            stiffness: mix_t(old.stiffness, new.stiffness),
+            reach: old.reach.max(new.reach),
             contact: Contact {
                 normal: normal.try_normalize(0.1).unwrap_or(new.normal),
                 pressed: normal_force.abs() + squeeze,
@@ -214,9 +220,10 @@ impl Blend {
                 touches: contact.pressed > 0.0,
                 value: felt.normal_force,
                 gradient: old.slope_at(held) * a + new.slope_at(held) * b,
-                reach: new.reach.max(old.reach),
+                reach: felt.reach,
                 normal: contact.normal,
                 damping: contact.damping,
+                stiffness: felt.stiffness,
                 tangential: contact.stiffness,
                 squeeze: a * old.squeeze + b * new.squeeze,
                 mu_static: contact.mu_static,

@@ -1,5 +1,6 @@
 //! The tick: all stages in order.
 
+use nalgebra::Vector3;
 use palpate_device::{DeviceCaps, Faults, Pose, Sample, Wrench};
 use palpate_protocol::{ClientTime, Span};
 
@@ -87,6 +88,9 @@ pub struct Tick {
     /// [`ChainConfig::force_max_n`] and [`ChainConfig::torque_max_nm`]; always finite. A device without motors
     /// shows it as a cue, a view draws it. It bypasses the hand's protection, so never write it to a device.
     pub felt: Wrench,
+    /// From the device to the proxy, m: the place where the tissue would not press the tool, faded like
+    /// [`felt`](Self::felt). It is zero exactly if the normal force is; see `proxy`.
+    pub proxy_offset: Vector3<f64>,
     /// Events of this tick.
     pub events: Events,
     /// Age of the contact model that was used.
@@ -260,13 +264,14 @@ impl Chain {
         } else {
             events.set(Events::BAD_MODEL, true);
         }
-        let wrench = self.contact_points.tick(&self.blend, now, dt, &motion);
+        let (wrench, planes) = self.contact_points.tick(&self.blend, now, dt, &motion);
         let touches = wrench != Wrench::ZERO;
         note_grips(&mut events, was_touching, self.contact_points.grips());
         let felt = self.felt_wrench(&wrench);
         let there = self.clamp(&wrench, &mut events);
         let [trusted, open] = self.gains(now, dt, &sample.pose, &mut events);
         let felt = felt.scaled(trusted * open);
+        let proxy_offset = planes.proxy_offset() * (trusted * open);
         if let Some(passivity) = &mut self.passivity {
             let model = self.blend.model();
             if sample.faults.contains(Faults::TIME_JUMP) {
@@ -295,7 +300,12 @@ impl Chain {
             });
         }
         self.observer.observe(sample.pose, wrench);
-        self.finish(now, wrench, felt, events)
+        let tick = self.finish(now, wrench, events);
+        Tick {
+            felt,
+            proxy_offset,
+            ..tick
+        }
     }
 
     /// One tick for which the device gave no sample: the force fades to zero.
@@ -345,9 +355,10 @@ impl Chain {
         }
     }
 
-    /// `wrench` clamped to the device. A torque that the device can not render is scaled with the force.
+    /// `wrench` clamped to the device and to the limit of the session. A torque that the device can not render is scaled with the force.
     fn clamp(&self, wrench: &Wrench, events: &mut Events) -> Wrench {
-        let (force, saturated) = clamp_force(wrench.force, self.force_limit_n);
+        let limit_n = (self.force_limit_n).min(self.blend.model().force_limit_n);
+        let (force, saturated) = clamp_force(wrench.force, limit_n);
         // A device without motors is never saturated.
         events.set(Events::SATURATED, saturated && self.force_limit_n > 0.0);
         let Some(limit_nm) = self.torque_limit_nm else {
@@ -447,10 +458,11 @@ impl Chain {
         self.gains(now, dt, &pose, &mut events);
         self.soft_start.lower_to(0.0);
         let wrench = self.limit_change(&Wrench::ZERO, &mut events);
-        self.finish(now, wrench, Wrench::ZERO, events)
+        self.finish(now, wrench, events)
     }
 
-    fn finish(&mut self, now: ClientTime, wrench: Wrench, felt: Wrench, events: Events) -> Tick {
+    /// Counts a tick, without the contact.
+    fn finish(&mut self, now: ClientTime, wrench: Wrench, events: Events) -> Tick {
         let c = &mut self.counters;
         c.count(events);
         c.max_force_n = c.max_force_n.max(wrench.force.norm());
@@ -458,7 +470,8 @@ impl Chain {
         c.min_energy_j = self.observer.min_j();
         Tick {
             wrench,
-            felt,
+            felt: Wrench::ZERO,
+            proxy_offset: Vector3::zeros(),
             events,
             contact_age: now - self.solved_at,
         }

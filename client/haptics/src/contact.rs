@@ -53,6 +53,8 @@ pub struct ContactModel {
     /// Net work of the other participants on the tissue since they joined, J. It may return to this hand; see
     /// the passivity controller.
     pub external_work_j: f64,
+    /// Limit of the rendered force beside that of the device, N; infinite for none.
+    pub force_limit_n: f64,
 }
 
 impl ContactModel {
@@ -66,6 +68,7 @@ impl ContactModel {
         couple: Vector3::new(0.0, 0.0, 0.0),
         radius: 0.0,
         external_work_j: 0.0,
+        force_limit_n: f64::INFINITY,
     };
 
     /// The tool touches nothing, as of `solved_at`.
@@ -137,7 +140,8 @@ impl ContactModel {
     /// bounds. The chain rejects any other model, and the previous one ages.
     pub fn is_usable(&self) -> bool {
         // A comparison with NaN is false.
-        self.x0.iter().all(|c| c.abs() <= COEFFICIENT_MAX)
+        self.force_limit_n >= 0.0
+            && self.x0.iter().all(|c| c.abs() <= COEFFICIENT_MAX)
             && (self.turn0.coords.norm() - 1.0).abs() < 1e-3
             && self.couple.iter().all(|c| c.abs() <= FORCE_MAX_N)
             && (0.0..=COEFFICIENT_MAX).contains(&self.radius)

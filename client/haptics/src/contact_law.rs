@@ -33,6 +33,8 @@ pub(crate) struct Law {
     pub(crate) reach: f64,
     pub(crate) normal: Vector3<f64>,
     pub(crate) damping: f64,
+    /// Stiffness of the tissue along the normal, N/m, without the limit of the coupling.
+    pub(crate) stiffness: f64,
     /// Stiffness across the normal, N/m.
     pub(crate) tangential: f64,
     /// s, N.
@@ -64,6 +66,7 @@ impl Law {
         reach: 0.0,
         normal: Vector3::new(0.0, 0.0, 1.0),
         damping: 0.0,
+        stiffness: 0.0,
         tangential: 0.0,
         squeeze: 0.0,
         mu_static: 0.0,
@@ -87,6 +90,7 @@ impl Law {
             reach: model.radius,
             normal,
             damping: touch.damping,
+            stiffness: touch.normal_stiffness(),
             tangential: slope.across,
             squeeze: touch.squeeze_n(),
             mu_static: touch.mu_static,

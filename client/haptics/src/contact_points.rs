@@ -6,6 +6,7 @@ use palpate_protocol::{ClientTime, Span};
 
 use crate::blend::{ActiveContact, Blend};
 use crate::motion::Motion;
+use crate::proxy::ContactPlanes;
 use crate::{CONTACTS_MAX, Friction, FrictionConfig, Grip};
 
 /// Stick-slip state of every contact point, and the last pose of the tool.
@@ -52,24 +53,25 @@ impl ContactPoints {
         }
     }
 
-    /// One tick, `dt` after the last: the wrench of the tissue on a tool in `motion`, about its pivot.
+    /// One tick, `dt` after the last: the wrench of the tissue on a tool in `motion`, about its pivot, and the contact
+    /// planes there.
     pub(crate) fn tick(
         &mut self,
         blend: &Blend,
         now: ClientTime,
         dt: Span,
         motion: &Motion,
-    ) -> Wrench {
+    ) -> (Wrench, ContactPlanes) {
+        let mut planes = ContactPlanes::NONE;
         let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());
         let couple = self.advance_friction(blend, now, dt, motion, |felt, across| {
             let push = felt.contact.normal * felt.normal_force + across;
             force += push;
             torque += felt.lever.cross(&push);
+            planes.add(felt);
         });
-        Wrench {
-            force,
-            torque: torque + couple,
-        }
+        let torque = torque + couple;
+        (Wrench { force, torque }, planes)
     }
 
     /// Advances the friction of every contact point; calls `each` with its tangential force. Returns the couple,

@@ -33,6 +33,7 @@ mod friction;
 mod limits;
 mod motion;
 mod passivity;
+mod proxy;
 mod soft_start;
 mod touch;
 mod watchdog;

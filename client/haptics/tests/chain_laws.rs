@@ -1,5 +1,4 @@
 //! Laws of the whole chain, on a virtual clock.
-
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use nalgebra::{Matrix3, Vector3};
@@ -145,9 +144,34 @@ fn a_device_without_motors_gets_no_force_but_the_felt_wrench() {
     assert!((blended.last().unwrap().felt.force.z - 4.6).abs() < 1e-6);
     // An old model fades as for a hand.
     let old = pressed(ms(2048), 4.0);
-    let last = (2050..2300).map(|t| chain.tick(ms(t), &sample(deeper), &old));
-    let felt: Vec<f64> = last.map(|tick| tick.felt.force.norm()).collect();
+    let mut felt_at = |t| chain.tick(ms(t), &sample(deeper), &old).felt.force.norm();
+    let felt: Vec<f64> = (2050..2300).map(&mut felt_at).collect();
     assert!(felt[0] > 4.0 && felt[160..].iter().all(|n| *n == 0.0));
+}
+
+/// The tick at a height of the tool, held for 20 ms in a contact of 2 N.
+fn held_at(z: f64) -> (Tick, Chain, i64) {
+    let (mut chain, t0) = holding(2.0);
+    let at = sample(Vector3::new(0.0, 0.0, z));
+    let ticks = (t0..t0 + 20).map(|t| chain.tick(ms(t), &at, &pressed(ms(t - t % 4), 2.0)));
+    (ticks.last().unwrap(), chain, t0 + 20)
+}
+
+proptest! {
+    #[test]
+    fn proxy_is_at_the_device_exactly_when_the_felt_force_is_zero(z in -9e-3f64..9e-3) {
+        let (tick, ..) = held_at(z);
+        prop_assert_eq!(tick.felt.force.norm() == 0.0, tick.proxy_offset.norm() == 0.0, "{:?}", tick);
+    }
+
+    #[test]
+    fn tool_at_the_proxy_6_7_mm_higher_feels_no_force(z in -1e-3f64..6e-3) {
+        let (tick, mut chain, t) = held_at(z);
+        let at = Vector3::new(0.0, 0.0, z) + tick.proxy_offset;
+        prop_assert!((z + tick.proxy_offset.z - 2.0 / 300.0).abs() < 1e-9, "{:?}", tick);
+        let there = chain.tick(ms(t), &sample(at), &pressed(ms(t - t % 4), 2.0));
+        prop_assert!(there.felt.force.z.abs() < 1e-9 && there.proxy_offset.norm() < 1e-9, "{:?}", there);
+    }
 }
 
 #[test]
@@ -407,6 +431,28 @@ fn the_force_never_exceeds_the_device_limit() {
     let (chain, _) = holding(500.0);
     assert!(chain.counters().saturated > 900);
     assert!(chain.counters().max_force_n <= 10.0 + 1e-12);
+}
+
+#[test]
+fn a_force_limit_of_the_session_is_reached_within_the_slew_rate() {
+    let (mut chain, began) = holding(5.0);
+    let (step, mut before) = (chain.slew_step_n(), 5.0);
+    for t in began..began + 1000 {
+        let model = ContactModel {
+            force_limit_n: 2.0,
+            ..pressed(ms(t - t % 4), 5.0)
+        };
+        let tick = chain.tick(ms(t), &sample(Vector3::zeros()), &model);
+        let now = tick.wrench.force.norm();
+        assert!((now - before).abs() <= step + 1e-9, "{before} to {now} N");
+        before = now;
+    }
+    assert!((before - 2.0).abs() < 1e-9, "{before} N");
+    let bad = ContactModel {
+        force_limit_n: f64::NAN,
+        ..pressed(ms(began), 5.0)
+    };
+    assert!(!bad.is_usable());
 }
 
 /// Tissue whose stiffness grows with depth, as real tissue's does: N = 200 d + 20000 d².

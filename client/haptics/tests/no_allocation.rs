@@ -7,7 +7,7 @@ use std::cell::Cell;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use palpate_device::backend::five_dof;
-use palpate_device::backend::pointer::{Modifiers, Pointer, PointerConfig, PointerEvent, View};
+use palpate_device::backend::pointer::{Pointer, PointerConfig, PointerEvent};
 use palpate_device::backend::sim::{ScriptStart, SimHand};
 use palpate_device::backend::steered::{
     Controls, DeviceLost, Kind, RateControl, Rumble, Source, SourceEvent, Space, Steered,
@@ -210,20 +210,11 @@ fn ten_thousand_ticks_of_devices_without_motors_allocate_nothing() {
     for i in 0..200 {
         let event = PointerEvent {
             time: DeviceTime::from_micros(i),
-            view: View {
-                centre: Vector3::zeros(),
-                right: Vector3::x(),
-                up: Vector3::z(),
-                eye_m: Some(0.3),
-            },
-            at: Some([1e-4 * i as f64, -5e-4 * i as f64]),
-            wheel_m: 1e-5,
+            goal: Some(Pose {
+                position: Vector3::new(1e-4, 0.0, -5e-4) * i as f64,
+                orientation: UnitQuaternion::from_scaled_axis(Vector3::z() * (1e-2 * i as f64)),
+            }),
             buttons: Buttons::PRIMARY,
-            modifiers: if i % 2 == 0 {
-                Modifiers::NONE
-            } else {
-                Modifiers::TURN
-            },
         };
         handle.send(event).unwrap();
     }

@@ -36,13 +36,14 @@ mod tools;
 
 pub use connection::{
     Action, BUSY_WAIT_FIRST, Backoff, ConnectionStatus, Farewell, Reconnector, Retry,
+    StrokeRefusals,
 };
 pub use replica::{
-    CutOrder, CutWorkerEvent, Drift, HAPTIC_PERIOD, Prefetch, Replica, ReplicaError, ThinCounters,
-    ThinView, VIEW_ITERATIONS, VIEW_TOLERANCE, View, ViewCut, hand_budget,
+    CutOrder, Drift, HAPTIC_PERIOD, MadeCut, Prefetch, Replica, ReplicaError, ThinCounters,
+    ThinView, VIEW_ITERATIONS, VIEW_TOLERANCE, View, hand_budget,
 };
 pub use site::{
-    OperationRecord, RESYNCS_MAX, Site, SiteCounters, SiteError, ViewFrame, ViewUpdate, grid_index,
-    grid_time,
+    Access, OperationRecord, RESYNCS_MAX, SessionState, Site, SiteCounters, SiteError, ViewFrame,
+    ViewUpdate, grid_index, grid_time,
 };
 pub use tools::{Reach, Roster, StrokeCollector, ToolAt, tissue_stroke};

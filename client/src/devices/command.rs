@@ -11,7 +11,7 @@ use palpate_device::{Calibration, ClockOwner, DeviceCaps, DeviceTime, HapticDevi
 use palpate_protocol::Span;
 use serde_json::json;
 
-use super::{DeviceKind, DeviceSelection, Guide, Sources, open, owned, plot};
+use super::{DeviceKind, DeviceSelection, Guide, Opened, Sources, open, owned, plot};
 use crate::program::{complain, print};
 use crate::realtime::{device_time, monotonic_now, sleep_until};
 
@@ -106,7 +106,7 @@ pub(crate) fn run(arguments: DevicesArguments) -> ExitCode {
 type Done = Result<(), String>;
 
 /// A device at rest.
-fn at_rest(choice: &DeviceSelection) -> Result<Box<dyn HapticDevice>, String> {
+fn at_rest(choice: &DeviceSelection) -> Result<Opened, String> {
     let sources = Sources::from_environment();
     let guide = if choice.kind.is_held() {
         Guide::held(None, choice.kind)
@@ -139,15 +139,15 @@ fn list(json: bool) -> Done {
                 kind.word(),
                 ""
             )),
-            (Ok(mut device), is_json) => {
-                let there = device.as_deref();
+            (Ok(mut opened), is_json) => {
+                let there = opened.as_ref().map(|opened| opened.device.as_ref());
                 let row = if is_json {
                     as_row(kind, sentence, &found, there)
                 } else {
                     json!(as_text(kind, sentence, &found, there))
                 };
-                if let Some(device) = &mut device {
-                    device.close();
+                if let Some(opened) = &mut opened {
+                    opened.device.close();
                 }
                 row
             }
@@ -254,7 +254,7 @@ fn calibration_word(calibration: Calibration) -> &'static str {
 
 fn test(choice: &DeviceSelection, json: bool) -> Done {
     let kind = choice.kind;
-    let mut device = at_rest(choice)?;
+    let mut opened = at_rest(choice)?;
     let (mut us, mut due) = (0, monotonic_now());
     let mut clock = || {
         if kind.is_held() {
@@ -269,7 +269,7 @@ fn test(choice: &DeviceSelection, json: bool) -> Done {
     let options = conformance::Options {
         moves_under_force: !kind.is_held() && kind != DeviceKind::Replay,
     };
-    let report = conformance::run(device.as_mut(), &mut clock, options);
+    let report = conformance::run(opened.device.as_mut(), &mut clock, options);
     if json {
         print(&format!("{}\n", as_json(kind, &report)))?;
     } else {
@@ -296,7 +296,7 @@ fn as_json(kind: DeviceKind, report: &Report) -> serde_json::Value {
 
 fn calibrate(choice: &DeviceSelection) -> Done {
     let kind = choice.kind;
-    let mut device = at_rest(choice)?;
+    let mut device = at_rest(choice)?.device;
     let state = device
         .calibrate()
         .map_err(|e| format!("{}: {e}", kind.word()))?;

@@ -7,7 +7,7 @@ use palpate_device::{Buttons, HapticDevice, Pose, Script, ScriptError};
 use palpate_protocol::Role;
 use palpate_tissue::Model;
 
-use super::{DeviceKind, HeldDevice, input, owned};
+use super::{DeviceError, DeviceKind, HeldDevice, input, owned};
 use crate::{ClientError, JoinOptions};
 
 /// Tool of a recorded motion without a script: a ball of 8 mm radius.
@@ -48,12 +48,15 @@ impl Guide {
             None => None,
         };
         let asked = options.device;
+        if asked == DeviceKind::Pointer && options.view.is_none() {
+            return Err(DeviceError::NeedsView.into());
+        }
         let held = match (&options.motion, &script) {
             (None, _) if asked.is_held() => Some(asked),
-            // Devices with force feedback take precedence.
-            (None, None) if asked == DeviceKind::Auto => {
-                owned::best(&options.sources).or_else(input::best)
-            }
+            // Devices with force feedback take precedence, and a pointer comes last: it is always there.
+            (None, None) if asked == DeviceKind::Auto => owned::best(&options.sources)
+                .or_else(input::best)
+                .or(options.view.map(|_| DeviceKind::Pointer)),
             _ => None,
         };
         if let Some(kind) = held {
@@ -127,5 +130,80 @@ impl Guide {
             Moves::Script(script().map_err(|e| e.to_string())?)
         };
         Ok(Self { tool: BALL, moves })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_device::backend::haply::Service;
+
+    use super::*;
+    use crate::Sources;
+
+    /// Options of a machine without devices.
+    fn options(device: DeviceKind, has_view: bool) -> JoinOptions {
+        JoinOptions {
+            device,
+            view: has_view.then(|| "127.0.0.1:4481".parse().unwrap()),
+            sources: Sources {
+                haply: Service {
+                    // The discard port, where no service listens.
+                    simulation: "ws://127.0.0.1:9".to_owned(),
+                    events: None,
+                },
+                libhd: Some("nowhere/libHD.so".into()),
+                libdrd: Some("nowhere/libdrd.so".into()),
+            },
+            ..JoinOptions::new("L", "Ada")
+        }
+    }
+
+    fn held(options: &JoinOptions) -> Option<DeviceKind> {
+        let guide = Guide::load(options, Role::Trainee).unwrap().unwrap();
+        match guide.moves {
+            Moves::Held(hold) => {
+                assert_eq!(guide.tool, BALL);
+                Some(hold.kind)
+            }
+            Moves::Script(_) | Moves::Motion(_) => None,
+        }
+    }
+
+    #[test]
+    fn pointer_needs_a_view() {
+        let pointer = |has_view| options(DeviceKind::Pointer, has_view);
+        let error = Guide::load(&pointer(false), Role::Trainee).unwrap_err();
+        assert!(matches!(error, ClientError::Device(DeviceError::NeedsView)));
+        assert_eq!(held(&pointer(true)), Some(DeviceKind::Pointer));
+        // A role without a tool opens no device.
+        assert!(
+            Guide::load(&pointer(false), Role::Spectator)
+                .unwrap()
+                .is_none()
+        );
+    }
+
+    #[test]
+    fn auto_chooses_pointer_only_with_a_view_and_nothing_else_that_moves() {
+        let auto = |has_view| options(DeviceKind::Auto, has_view);
+        assert_eq!(held(&auto(true)), Some(DeviceKind::Pointer));
+        let error = Guide::load(&auto(false), Role::Trainee).unwrap_err();
+        assert!(matches!(error, ClientError::NoScript(_)), "{error}");
+        let folder = tempfile::tempdir().unwrap();
+        let (script, motion) = (folder.path().join("s.toml"), folder.path().join("m.csv"));
+        let text = "format = \"palpate-script/1\"\n[tool]\nkind = \"probe\"\nradius_mm = 6.0\n\
+            [[way]]\nt_s = 0.0\nat_mm = [0.0, 0.0, 0.0]\n[[way]]\nt_s = 1.0\nat_mm = [1.0, 0.0, 0.0]\n";
+        std::fs::write(&script, text).unwrap();
+        std::fs::write(&motion, "t_s,x_m,y_m,z_m\n0,0,0,0\n1,0,0,0\n").unwrap();
+        let scripted = JoinOptions {
+            script: Some(script),
+            ..auto(true)
+        };
+        assert_eq!(held(&scripted), None);
+        let recorded = JoinOptions {
+            motion: Some(motion),
+            ..auto(true)
+        };
+        assert_eq!(held(&recorded), None);
     }
 }

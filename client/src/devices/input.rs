@@ -1,9 +1,9 @@
 //! Steered input devices: opening those that this program was built with.
 
-use palpate_device::HapticDevice;
+use palpate_device::backend::pointer::{Pointer, PointerConfig};
 use palpate_device::backend::steered::Space;
 
-use super::{DeviceError, DeviceKind, HeldDevice};
+use super::{DeviceError, DeviceKind, HeldDevice, Opened};
 
 /// Kinds that can be searched for, best first: a 6-DOF mouse rotates the tool about every axis at once.
 const KINDS: [DeviceKind; 2] = [DeviceKind::SpaceMouse, DeviceKind::Gamepad];
@@ -12,28 +12,33 @@ const KINDS: [DeviceKind; 2] = [DeviceKind::SpaceMouse, DeviceKind::Gamepad];
 pub(super) fn best() -> Option<DeviceKind> {
     KINDS.into_iter().find(|kind| {
         let opened = open(*kind, &HeldDevice::new(*kind, None).space());
-        opened.map(|mut device| device.close()).is_ok()
+        opened.map(|mut opened| opened.device.close()).is_ok()
     })
 }
 
 /// Opens the first connected device of this kind, which then steers a tool in `space`.
-pub(super) fn open(kind: DeviceKind, space: &Space) -> Result<Box<dyn HapticDevice>, DeviceError> {
+pub(super) fn open(kind: DeviceKind, space: &Space) -> Result<Opened, DeviceError> {
     match kind {
-        DeviceKind::Pointer => Err(DeviceError::NeedsView),
+        DeviceKind::Pointer => {
+            let (device, handle) = Pointer::new(&PointerConfig::new(space.workspace, space.start))?;
+            Ok(Opened {
+                device: Box::new(device),
+                pointer: Some(handle),
+            })
+        }
         #[cfg(feature = "spacemouse")]
         DeviceKind::SpaceMouse => {
             use palpate_device::backend::{spacemouse, steered::RateControl};
-            Ok(Box::new(spacemouse::open(RateControl::default(), space)?))
+            Ok(Opened::new(spacemouse::open(
+                RateControl::default(),
+                space,
+            )?))
         }
         #[cfg(feature = "gamepad")]
         DeviceKind::Gamepad => {
             use palpate_device::backend::gamepad;
-            Ok(Box::new(gamepad::open(gamepad::rate(), space)?))
+            Ok(Opened::new(gamepad::open(gamepad::rate(), space)?))
         }
-        // Without these features `space` is unused.
-        other => {
-            let _ = space;
-            Err(DeviceError::BuiltWithout(other.word()))
-        }
+        other => Err(DeviceError::BuiltWithout(other.word())),
     }
 }

@@ -4,21 +4,23 @@ mod command;
 mod guide;
 mod held_device;
 mod input;
+mod opened;
 mod owned;
 mod plot;
 mod script_tool;
 mod selection;
 
 use clap::ValueEnum;
+use palpate_device::OpenError;
 use palpate_device::backend::five_dof;
 use palpate_device::backend::replay::Replay;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
-use palpate_device::{HapticDevice, OpenError};
 use serde::Serialize;
 
 pub(crate) use command::{DevicesArguments, run};
 pub(crate) use guide::{Guide, Moves};
 pub(crate) use held_device::HeldDevice;
+pub(crate) use opened::Opened;
 pub use owned::Sources;
 pub use script_tool::tool_description;
 pub(crate) use selection::DeviceSelection;
@@ -49,7 +51,7 @@ pub enum DeviceKind {
     SpaceMouse,
     /// A gamepad: its sticks move the tool, and it rumbles at contact.
     Gamepad,
-    /// Mouse and keyboard, through a view.
+    /// Mouse, touch and keyboard, through the page of the browser view.
     Pointer,
 }
 
@@ -88,7 +90,7 @@ impl DeviceKind {
         ),
         (
             Self::Pointer,
-            "mouse and keyboard, through the browser view; no force",
+            "mouse, touch and keyboard, through the page of `join --view`; no force",
         ),
     ];
 
@@ -163,7 +165,8 @@ pub enum DeviceError {
     HandMoved(&'static str),
     /// It needs a view.
     #[error(
-        "the device pointer needs the browser view, which this program does not have yet; choose another device"
+        "the device pointer needs --view: mouse, touch and keys reach it through a page; add --view, or choose another \
+         device"
     )]
     NeedsView,
     /// This program was built without it.
@@ -172,13 +175,13 @@ pub enum DeviceError {
 }
 
 /// Opens a device with its guide. A held motorised device stays in its own frame until [`HeldDevice::placed`] places it in
-/// the scene.
+/// the scene. [`Guide::load`] rejects a pointer without a view, which nothing would move.
 pub(crate) fn open(
     choice: &DeviceSelection,
     guide: &Guide,
     start: ScriptStart,
     sources: &Sources,
-) -> Result<Box<dyn HapticDevice>, DeviceError> {
+) -> Result<Opened, DeviceError> {
     let kind = choice.kind.chosen(guide);
     let other = |moves, option, instead| DeviceError::MovedOtherwise {
         device: kind.word(),
@@ -188,21 +191,27 @@ pub(crate) fn open(
     };
     Ok(match (kind, &guide.moves) {
         (DeviceKind::FiveDof, Moves::Script(script)) => {
-            Box::new(five_dof::simulated(script, start).map_err(DeviceError::FiveDof)?)
+            Opened::new(five_dof::simulated(script, start).map_err(DeviceError::FiveDof)?)
         }
         (DeviceKind::Sim | DeviceKind::Auto, Moves::Script(script)) => {
-            Box::new(SimHand::new(script.clone(), start))
+            Opened::new(SimHand::new(script.clone(), start))
         }
-        (DeviceKind::Replay, Moves::Motion(motion)) => Box::new(Replay::new(motion.clone(), start)),
+        (DeviceKind::Replay, Moves::Motion(motion)) => {
+            Opened::new(Replay::new(motion.clone(), start))
+        }
         (DeviceKind::Replay, Moves::Script(_)) => {
             return Err(other("a recorded motion", "--motion", "--script alone"));
         }
         (steered, Moves::Held(hold)) if steered.is_steered() => {
-            return input::open(steered, &hold.space());
+            input::open(steered, &hold.space())?
         }
         (held, Moves::Held(_)) => {
             let opened = owned::open(held, choice.which.as_deref(), sources)?;
-            return opened.ok_or_else(|| other("a script", "--script", "your own hand"));
+            let device = opened.ok_or_else(|| other("a script", "--script", "your own hand"))?;
+            Opened {
+                device,
+                pointer: None,
+            }
         }
         (held, _) if held.is_held() => return Err(DeviceError::HandMoved(held.word())),
         (_, Moves::Script(_) | Moves::Motion(_)) => {
@@ -215,12 +224,12 @@ pub(crate) fn open(
 mod tests {
     use clap::ValueEnum;
 
-    use palpate_device::HapticDevice;
-
-    use super::{DeviceError, DeviceKind, DeviceSelection, Guide, ScriptStart, Sources, open};
+    use super::{
+        DeviceError, DeviceKind, DeviceSelection, Guide, Opened, ScriptStart, Sources, open,
+    };
 
     /// Result of opening a device of this kind without vendor files.
-    fn opened(kind: DeviceKind, guide: &Guide) -> Result<Box<dyn HapticDevice>, DeviceError> {
+    fn opened(kind: DeviceKind, guide: &Guide) -> Result<Opened, DeviceError> {
         let choice = DeviceSelection { kind, which: None };
         open(&choice, guide, ScriptStart::not_yet(), &Sources::default())
     }

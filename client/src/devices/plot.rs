@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use palpate_device::backend::five_dof::{Linkage, Middle, SINGULAR, TILT_RAD, manipulability};
-use palpate_tissue::write_file;
+use palpate_tissue::file::write_file;
 
 /// Side of a map cell, m.
 const CELL_M: f64 = 2.5e-3;

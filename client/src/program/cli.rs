@@ -8,6 +8,7 @@ use std::time::Duration;
 use clap::{Parser, Subcommand};
 use palpate_protocol::handshake::Subscription;
 use palpate_transport::state::state_folder;
+use palpate_view::{CLIENT_VIEW, parse_view};
 
 use super::link_source::LinkArguments;
 use super::output::{complain, print};
@@ -42,6 +43,9 @@ Examples:
 
   With the Touch, Inverse3, omega or Falcon that is plugged in:
     palpate-client join \"palpate://192.168.1.20:4433/trainee?cert=...&grant=...\"
+
+  With mouse, touch and keys, in the page that this program serves:
+    palpate-client join \"palpate://192.168.1.20:4433/trainee?cert=...&grant=...\" --view --device pointer
 
   Which devices this program drives:
     palpate-client devices
@@ -105,7 +109,8 @@ struct JoinArguments {
     #[arg(long, default_value_t = default_name())]
     name: String,
     /// The device to hold, for roles with a tool: an entry of `devices` (haply, or haply:ID if several are
-    /// connected), or auto: sim with --script, replay with --motion, otherwise the best connected device
+    /// connected), or auto: sim with --script, replay with --motion, otherwise the best connected device, otherwise
+    /// pointer with --view
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     device: DeviceSelection,
     /// Script of the simulated hand, used with or without a simulated device (a TOML file)
@@ -115,6 +120,10 @@ struct JoinArguments {
     /// is that of --script, or a ball of 8 mm radius
     #[arg(long, value_name = "FILE")]
     motion: Option<PathBuf>,
+    /// Serve the browser view at this address (default 127.0.0.1:4481); a port alone serves this machine only. Mouse,
+    /// touch and keys in its page move the device pointer
+    #[arg(long, value_name = "[ADDRESS:]PORT", num_args = 0..=1, default_missing_value = CLIENT_VIEW)]
+    view: Option<String>,
     /// When the script or the motion starts: on joining, or with the session (see `palpate-server host --start-when`)
     #[arg(long, value_name = "MOMENT", value_enum, default_value = "joining")]
     at: StartAt,
@@ -146,8 +155,13 @@ struct JoinArguments {
 }
 
 impl JoinArguments {
-    fn into_options(self) -> Result<JoinOptions, ClientError> {
-        // First, because the program may start again.
+    fn into_options(mut self) -> Result<JoinOptions, ClientError> {
+        let view = self.view.take().map(|word| {
+            let word = self.link.take_from("--view", word)?;
+            Ok::<_, ClientError>(parse_view(word.as_deref().unwrap_or(CLIENT_VIEW))?)
+        });
+        let view = view.transpose()?;
+        // Before anything is opened, because the program may start again.
         let link = self.link.read()?;
         let status = if self.json {
             StatusKind::Stderr
@@ -161,6 +175,7 @@ impl JoinArguments {
             sources: Sources::from_environment(),
             script: self.script,
             motion: self.motion,
+            view,
             start_at: self.at,
             duration: self.duration,
             reconnect: self.reconnect,
@@ -272,6 +287,34 @@ mod tests {
         assert_eq!(options.status, StatusKind::Stderr);
         assert_eq!(options.subscription, Subscription::Thin);
         assert!(!options.realtime && options.catch_signals);
+    }
+
+    #[test]
+    fn view_takes_an_address_or_nothing_and_never_the_link() {
+        let view = |line: &str| {
+            let words = ["palpate-client", "join"]
+                .into_iter()
+                .chain(line.split(' '));
+            let Command::Join(arguments) = Arguments::parse_from(words).command else {
+                panic!("join was asked for");
+            };
+            let options = arguments.into_options().unwrap();
+            assert_eq!(options.link, "palpate://a", "{line}");
+            options.view.map(|address| address.to_string())
+        };
+        assert_eq!(view("palpate://a"), None);
+        for line in [
+            "palpate://a --view",
+            "--view palpate://a",
+            "--view --device pointer palpate://a",
+            "palpate://a --view 4481",
+        ] {
+            assert_eq!(view(line).as_deref(), Some(CLIENT_VIEW), "{line}");
+        }
+        assert_eq!(
+            view("--view 0.0.0.0:1 palpate://a").as_deref(),
+            Some("0.0.0.0:1")
+        );
     }
 
     #[test]

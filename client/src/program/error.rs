@@ -8,7 +8,7 @@ use palpate_protocol::link::LinkError;
 use palpate_protocol::name::NameError;
 use palpate_protocol::session::CloseReason;
 use palpate_protocol::{ModelHash, ProtocolError, Role};
-use palpate_tissue::{FileError, WriteError};
+use palpate_tissue::file::{FileError, WriteError};
 use palpate_transport::TransportError;
 
 use crate::{DeviceError, LinkSourceError, Summary};
@@ -22,6 +22,9 @@ pub enum ClientError {
     /// No join link can be read.
     #[error(transparent)]
     LinkSource(#[from] LinkSourceError),
+    /// The view can not be served there.
+    #[error(transparent)]
+    ViewAddress(#[from] palpate_view::ViewAddressError),
     /// The script is invalid.
     #[error("the script {}: {source}", path.display())]
     Script {
@@ -41,15 +44,19 @@ pub enum ClientError {
     /// A role with a tool, without a device.
     #[error(
         "the role {0} holds a tool, but no haptic device is connected (see `palpate-client devices`); connect one, \
-         add --script FILE for a simulated hand, or --motion FILE to replay a recorded motion"
+         add --script FILE for a simulated hand, --motion FILE to replay a recorded motion, or --view for mouse, touch \
+         and keys"
     )]
     NoScript(Role),
-    /// A thin subscription for a role with a tool.
+    /// A thin subscription for a role that needs the tissue.
     #[error(
-        "--subscription thin computes no contact forces, but the role {0} holds a tool; remove the option, or join with a \
-         spectator link"
+        "--subscription thin computes no tissue, but the role {0} needs it; remove the option, or join with a spectator \
+         link"
     )]
     ThinTool(Role),
+    /// The page can not be served.
+    #[error(transparent)]
+    View(#[from] palpate_view::ViewError),
     /// The device can not be opened.
     #[error(transparent)]
     Device(#[from] DeviceError),
@@ -149,11 +156,13 @@ impl ClientError {
         match self {
             Self::Link(_)
             | Self::LinkSource(_)
+            | Self::ViewAddress(_)
             | Self::Script { .. }
             | Self::Motion { .. }
             | Self::NoScript(_)
             | Self::ThinTool(_)
             | Self::RecordPlace(_)
+            | Self::View(_)
             | Self::Device(_) => 2,
             _ => 1,
         }

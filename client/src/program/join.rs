@@ -2,20 +2,22 @@
 
 use std::sync::Arc;
 
-use palpate_device::HapticDevice;
 use palpate_device::backend::sim::ScriptStart;
 use palpate_device::script::ToolKind;
 use palpate_haptics::{Chain, ChainConfig};
 use palpate_protocol::handshake::{Hello, Subscription, Welcome};
+use palpate_protocol::permission::Permission;
 use palpate_protocol::{JoinLink, name};
 use palpate_site::{ConnectionStatus, Reach, Site};
-use palpate_tissue::{Staged, decode_model};
+use palpate_tissue::file::{Staged, decode_model};
 use palpate_transport::threads::{ThreadClass, cpu_time, join, leave, without_real_time};
+use palpate_view::ViewListener;
 
 use super::status::{Status, fetch_progress, retry_lines};
 use super::supervision::Supervision;
-use crate::devices::{self, DeviceSelection, Guide, tool_description};
+use crate::devices::{self, DeviceSelection, Guide, Opened, tool_description};
 use crate::network::{Joining, MotionThread, Network, SeatFile};
+use crate::page::LocalPage;
 use crate::realtime::{HapticHandle, RealtimeConfig, monotonic_now, spawn};
 use crate::recording::{HAPTIC_POINTS_MAX, Recording};
 use crate::replica::{Hand, Inputs, ReplicaThread, record_every};
@@ -25,7 +27,7 @@ use crate::{ClientError, JoinOptions, Summary};
 pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     let link: JoinLink = options.link.parse()?;
     let is_thin = options.subscription == Subscription::Thin;
-    if is_thin && link.role.has_tool() {
+    if is_thin && !link.role.may(Permission::WatchThin) {
         return Err(ClientError::ThinTool(link.role));
     }
     if let Some(path) = &options.record {
@@ -35,13 +37,15 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     let mut held = None;
     if let Some(guide) = &guide {
         // Device errors appear before the server is contacted.
-        let mut device = open(options, guide, ScriptStart::not_yet())?;
+        let mut opened = open(options, guide, ScriptStart::not_yet())?;
         if guide.is_opened_once() {
-            held = Some(device);
+            held = Some(opened);
         } else {
-            device.close();
+            opened.device.close();
         }
     }
+    // A port that is taken appears before the server is contacted, too.
+    let listener = options.view.map(ViewListener::bind).transpose()?;
     let hello = Hello {
         name: name::normalise(&options.name)?,
         role: link.role,
@@ -72,7 +76,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
         without_real_time();
     }
     let network = Network::open(joining, fetch_progress(options.status))?;
-    let threads = match Threads::start(options, &network, guide, held) {
+    let threads = match Threads::start(options, &network, guide, held, listener) {
         Ok(threads) => threads,
         Err(error) => {
             network.leave();
@@ -95,11 +99,7 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
 }
 
 /// Opens the requested device.
-fn open(
-    options: &JoinOptions,
-    guide: &Guide,
-    start: ScriptStart,
-) -> Result<Box<dyn HapticDevice>, ClientError> {
+fn open(options: &JoinOptions, guide: &Guide, start: ScriptStart) -> Result<Opened, ClientError> {
     let choice = DeviceSelection {
         kind: options.device,
         which: options.device_id.clone(),
@@ -112,6 +112,7 @@ pub(super) struct Threads {
     pub(super) haptics: Option<HapticHandle>,
     pub(super) motion: Option<MotionThread>,
     pub(super) replica: ReplicaThread,
+    pub(super) page: Option<LocalPage>,
     /// Name reported by the device.
     pub(super) device: String,
 }
@@ -121,7 +122,8 @@ impl Threads {
         options: &JoinOptions,
         network: &Network,
         mut guide: Option<Guide>,
-        held: Option<Box<dyn HapticDevice>>,
+        held: Option<Opened>,
+        listener: Option<ViewListener>,
     ) -> Result<Self, ClientError> {
         let session = &network.session;
         let welcome = &session.welcome;
@@ -137,18 +139,24 @@ impl Threads {
         let reach = guide
             .as_ref()
             .map(|guide| Reach::new(tool_description(&guide.tool)));
+        let shown = Arc::clone(&model);
         let site = in_background(|| match options.subscription {
             Subscription::Full => Site::new(welcome, model, blade),
             Subscription::Thin => Site::thin(welcome, model, None),
         });
         let start = ScriptStart::not_yet();
-        let (mut haptics, mut motion, mut hand) = (None, None, None);
+        let (mut haptics, mut motion, mut hand, mut pointer) = (None, None, None, None);
         let mut name = "none".to_owned();
         if let Some(guide) = guide.filter(|_| welcome.role.has_tool()) {
-            let device = match held {
-                Some(held) => guide.placed(held),
+            let opened = match held {
+                Some(held) => Opened {
+                    device: guide.placed(held.device),
+                    ..held
+                },
                 None => open(options, &guide, start.clone())?,
             };
+            pointer = opened.pointer;
+            let device = opened.device;
             name.clone_from(&device.caps().name);
             let chain = Chain::new(ChainConfig::default(), device.caps());
             let (handle, ports) =
@@ -162,6 +170,12 @@ impl Threads {
                 own,
             });
         }
+        let page = listener.map(|listener| {
+            let commands = session.commands.clone();
+            let link = options.link.parse()?;
+            LocalPage::start(listener, link, welcome, &shown, commands, pointer)
+        });
+        let mut page = page.transpose()?;
         let replica = ReplicaThread::spawn(Inputs {
             site,
             inbox: Arc::clone(&session.inbox),
@@ -175,11 +189,13 @@ impl Threads {
                 .as_ref()
                 .map(|_| record_every(welcome.tick_hz)),
             recording: new_recording(options, welcome),
+            page: page.as_mut().and_then(LocalPage::take_window),
         })?;
         Ok(Self {
             haptics,
             motion,
             replica,
+            page,
             device: name,
         })
     }

@@ -5,6 +5,8 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
+use palpate_protocol::link::SCHEME;
+
 use super::command_line;
 
 /// The environment variable with the join link. Only the same user can read the environment of a process.
@@ -73,6 +75,25 @@ impl Source {
 }
 
 impl LinkArguments {
+    /// Takes a link from the word after an option whose value may be left out (`join --view LINK`), and returns any
+    /// other word.
+    pub(super) fn take_from(
+        &mut self,
+        option: &str,
+        word: String,
+    ) -> Result<Option<String>, LinkSourceError> {
+        if !word.starts_with(SCHEME) {
+            return Ok(Some(word));
+        }
+        match self.link.replace(word) {
+            None => Ok(None),
+            Some(_) => Err(LinkSourceError::Twice(
+                "the argument LINK".to_owned(),
+                format!("the word after {option}"),
+            )),
+        }
+    }
+
     /// Reads the link from its only source. A link that was an argument is removed from the command line, for which
     /// the program may start again in this process.
     pub(super) fn read(self) -> Result<String, LinkSourceError> {
@@ -192,6 +213,33 @@ mod tests {
             "{error}"
         );
         assert!(!error.contains("palpate://"), "{error}");
+    }
+
+    #[test]
+    fn link_after_an_option_without_value_is_the_link() {
+        let take = |link, word: &str| {
+            let mut arguments = arguments(link, None);
+            let rest = arguments.take_from("--view", word.to_owned());
+            (rest, arguments.link)
+        };
+        let (rest, link) = take(None, "palpate://a");
+        assert_eq!(
+            (rest.unwrap(), link.as_deref()),
+            (None, Some("palpate://a"))
+        );
+        let (rest, link) = take(Some("-"), "4481");
+        assert_eq!(
+            (rest.unwrap().as_deref(), link.as_deref()),
+            (Some("4481"), Some("-"))
+        );
+        let error = take(Some("palpate://a"), "palpate://b")
+            .0
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("--view") && !error.contains("palpate://"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Options of a run.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -50,6 +51,8 @@ pub struct JoinOptions {
     pub script: Option<PathBuf>,
     /// A recorded motion to replay; the tool is the script's, or a ball of 8 mm radius.
     pub motion: Option<PathBuf>,
+    /// Address of the browser view, whose mouse, touch and keys move the device pointer; `None` serves no view.
+    pub view: Option<SocketAddr>,
     /// When the script or the motion starts.
     pub start_at: StartAt,
     /// Leave after this time; `None` stays until the session ends.
@@ -83,6 +86,7 @@ impl JoinOptions {
             sources: Sources::default(),
             script: None,
             motion: None,
+            view: None,
             start_at: StartAt::default(),
             duration: None,
             reconnect: Duration::from_micros(SEAT_RETENTION.as_micros().unsigned_abs()),

@@ -53,6 +53,8 @@ impl Figures {
             Part::CatchingUp => " | catching up",
             Part::Resyncing => " | RESYNC, no force",
             Part::Demoted => " | WATCHING, the network is too slow",
+            Part::Muted => " | MUTED by the instructor, no force",
+            Part::Frozen => " | FROZEN by the instructor, no force",
         };
         let subscription = match self.replica.thin.map(|t| t.waiting) {
             None => format!("full {:.0} kbit/s", self.down_kbit_s),

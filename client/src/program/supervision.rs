@@ -6,8 +6,9 @@ use std::sync::atomic::Ordering;
 use palpate_protocol::session::CloseReason;
 use palpate_protocol::{ClientTime, Span};
 use palpate_site::ConnectionStatus;
-use palpate_tissue::Staged;
+use palpate_tissue::file::Staged;
 use palpate_transport::threads::{self, CpuTime, Scheduling};
+use palpate_view::{OwnFigures, State};
 
 use super::ending::{Ending, conclude};
 use super::join::Threads;
@@ -53,6 +54,10 @@ impl Supervision<'_> {
         if let Some(explanation) = explanation {
             self.status.print(&explanation);
         }
+        if let Some(page) = &self.threads.page {
+            let sentence = format!("the page is at {}", page.url());
+            self.status.print(&sentence);
+        }
     }
 
     /// Supervises all threads until the session is over.
@@ -69,6 +74,9 @@ impl Supervision<'_> {
             }
             for sentence in &progress.notices {
                 self.status.print(sentence);
+                if let Some(page) = &self.threads.page {
+                    page.notice(sentence);
+                }
             }
             if self.network.is_broken() {
                 return Ending::Panicked("network");
@@ -93,9 +101,16 @@ impl Supervision<'_> {
                 let sentence = format!("you left after {} s, as asked", duration.as_secs_f64());
                 return Ending::Wish(sentence);
             }
-            if self.status.is_due(now) {
-                let figures = self.figures(stayed, progress);
-                self.status.show(&figures, now);
+            let state = self.threads.page.as_mut().and_then(|page| page.poll(now));
+            let is_status_due = self.status.is_due(now);
+            if state.is_some() || is_status_due {
+                let figures = self.figures(stayed, progress, is_status_due);
+                if is_status_due {
+                    self.status.show(&figures, now);
+                }
+                if let Some((page, state)) = self.threads.page.as_ref().zip(state) {
+                    page.show(&self.measured(state, &figures));
+                }
             }
             sleep_until(now + POLL_PERIOD);
         }
@@ -131,13 +146,16 @@ impl Supervision<'_> {
         self.connection = now;
     }
 
-    fn figures(&mut self, stayed: Span, replica: Progress) -> Figures {
+    /// Figures now. The rate of reception counts from the last status line, which restarts the count.
+    fn figures(&mut self, stayed: Span, replica: Progress, restarts: bool) -> Figures {
         let hand = self.threads.haptics.as_mut().map(HapticHandle::stats);
         let stats = *self.network.session.stats.borrow();
         let link = stats.link;
         let now = monotonic_now();
-        let (bytes, since) =
-            std::mem::replace(&mut self.received, (stats.path.received_bytes, now));
+        let (bytes, since) = self.received;
+        if restarts {
+            self.received = (stats.path.received_bytes, now);
+        }
         // A smaller count than before belongs to another connection.
         let received = stats.path.received_bytes.saturating_sub(bytes);
         let seconds = (now - since).as_secs_f64().max(1e-3);
@@ -149,6 +167,23 @@ impl Supervision<'_> {
             down_kbit_s: received as f64 * 8e-3 / seconds,
             replica,
         }
+    }
+
+    /// The state of the session with the figures of this client.
+    fn measured(&self, mut state: State, figures: &Figures) -> State {
+        let cpu = threads::cpu_time().usage_since(&self.cpu_began).classes;
+        state.session.delay_ms = figures.replica.delay.as_millis_f64();
+        state.own = Some(OwnFigures {
+            device: self.threads.device.clone(),
+            loop_hz: figures.hand.map(|h| h.rate_hz),
+            late_us_p99: figures.hand.map(|h| h.lateness_us.p99 as f64),
+            model_age_ms: figures.replica.model_age.map(Span::as_millis_f64),
+            force_n: figures.hand.map(|h| h.force_n),
+            cpu,
+            rtt_ms: figures.rtt_ms,
+            loss: Some(figures.loss),
+        });
+        state
     }
 
     /// Fades the force first, then stops all threads, then collects the summary.
@@ -186,6 +221,13 @@ impl Supervision<'_> {
             summary.take_haptics(haptics);
         }
         let outcome = conclude(ending, summary, haptics.as_ref());
+        // After the force loop: a pointer without its page is unplugged to the loop.
+        if let Some(page) = self.threads.page {
+            match &outcome {
+                Ok(summary) => page.close(&summary.ended),
+                Err(error) => page.close(&error.to_string()),
+            }
+        }
         match (&self.options.record, recording) {
             (Some(path), Some(recording)) => {
                 write_recording(path, recording, haptics.as_ref(), outcome)

@@ -8,6 +8,7 @@
 //! - a NaN sample stops at the chain;
 //! - a clock that is set back neither stops the device's time nor keeps an old force alive.
 
+use nalgebra::Vector3;
 use palpate_device::{
     DeviceTime, Faults, ForceState, HapticDevice, Pose, Rejection, Sample, Wrench, Written,
 };
@@ -37,6 +38,8 @@ pub struct Frame {
     pub wrench: Wrench,
     /// Contact force on the tool, for display: see [`Tick::felt`].
     pub felt: Wrench,
+    /// From the device to the proxy, m, for display: see [`Tick::proxy_offset`].
+    pub proxy_offset: Vector3<f64>,
     /// Events of the tick.
     pub events: Events,
     /// Age of the contact model in use.
@@ -51,6 +54,7 @@ impl Frame {
             sample: Sample::resting(device_time(now), Pose::default()),
             wrench: Wrench::ZERO,
             felt: Wrench::ZERO,
+            proxy_offset: Vector3::zeros(),
             events: Events::NONE,
             contact_age: Span::ZERO,
         }
@@ -203,6 +207,7 @@ impl HandLoop {
             }),
             wrench: tick.wrench,
             felt: tick.felt,
+            proxy_offset: tick.proxy_offset,
             events: tick.events,
             contact_age: tick.contact_age,
         };

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use nalgebra::{Matrix3, Vector3};
-use palpate_device::backend::pointer::{Modifiers, Pointer, PointerConfig, PointerEvent, View};
+use palpate_device::backend::pointer::{Pointer, PointerConfig, PointerEvent};
 use palpate_device::{Buttons, Pose, Workspace, Wrench};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
 use palpate_protocol::ServerTime;
@@ -27,20 +27,12 @@ fn contact() -> ContactModel {
     }
 }
 
-/// An event from above; the main button is held if `x` is given.
+/// A goal on the x axis with the main button held; without `x` the pointer leaves.
 fn event(x: Option<f64>) -> PointerEvent {
     PointerEvent {
         time: device_time(monotonic_now()),
-        view: View {
-            centre: Vector3::zeros(),
-            right: Vector3::x(),
-            up: Vector3::y(),
-            eye_m: None,
-        },
-        at: x.map(|x| [x, 0.0]),
-        wheel_m: 0.0,
+        goal: x.map(|x| Pose::at(Vector3::new(x, 0.0, 0.0))),
         buttons: Buttons::PRIMARY,
-        modifiers: Modifiers::NONE,
     }
 }
 
@@ -63,7 +55,7 @@ fn pointer_moves_and_cuts_without_rendering_force() {
     };
     let (hand, mut ports) = spawn(Box::new(pointer), chain, config).unwrap();
     let mut collector = StrokeCollector::new(0.02);
-    let mut stroke: Option<CutRequest> = None;
+    let mut parts: Vec<CutRequest> = Vec::new();
     let (mut felt_n, mut farthest): (f64, f64) = (0.0, 0.0);
     // Bound on the wait for the thread, far above the needs of any machine.
     for _ in 0..10_000 {
@@ -78,16 +70,16 @@ fn pointer_moves_and_cuts_without_rendering_force() {
             farthest = farthest.max(frame.sample.pose.position.x);
             let sample = local_sample(&frame);
             let time = ServerTime::from_micros(sample.time.as_micros());
-            let cut = collector.push(time, &sample.pose, sample.buttons & 1 != 0);
-            stroke = stroke.or(cut);
+            parts.extend(collector.push(time, &sample.pose, sample.buttons & 1 != 0));
         }
-        if stroke.is_some() && felt_n > 2.9 {
+        if parts.last().is_some_and(|part| part.is_last) && felt_n > 2.9 {
             break;
         }
         std::thread::sleep(std::time::Duration::from_millis(2));
     }
-    let stroke = stroke.expect("the button was held on the way and let go");
-    assert!(stroke.is_valid() && stroke.points.len() > 5);
+    assert!(parts.iter().all(CutRequest::is_valid));
+    let points: usize = parts.iter().map(|part| part.points.len()).sum();
+    assert!(points > 5, "the button was held on the way and let go");
     assert!((2.9..3.1).contains(&felt_n), "{felt_n} N");
     let summary = hand.stop();
     assert_eq!(summary.panicked, None);

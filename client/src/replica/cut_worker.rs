@@ -2,13 +2,13 @@
 
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 
-use palpate_site::{CutOrder, CutWorkerEvent, Prefetch, ReplicaError};
+use palpate_site::{CutOrder, MadeCut, Prefetch, ReplicaError};
 use palpate_transport::threads::{self, ThreadClass};
 
 /// A thread that prepares cuts in log order. Dropping this ends it.
 pub(crate) struct CutWorker {
     orders: Sender<CutOrder>,
-    news: Receiver<Result<CutWorkerEvent, ReplicaError>>,
+    news: Receiver<Result<MadeCut, ReplicaError>>,
 }
 
 impl CutWorker {
@@ -27,7 +27,7 @@ impl CutWorker {
     }
 
     /// The next result, if any. An error if the thread has stopped, so that no operation waits forever.
-    pub(crate) fn poll(&self) -> Result<Option<CutWorkerEvent>, ReplicaError> {
+    pub(crate) fn poll(&self) -> Result<Option<MadeCut>, ReplicaError> {
         match self.news.try_recv() {
             Ok(news) => news.map(Some),
             Err(TryRecvError::Empty) => Ok(None),
@@ -45,7 +45,7 @@ fn ended() -> ReplicaError {
 fn serve(
     mut prefetch: Prefetch,
     received: &Receiver<CutOrder>,
-    results: &Sender<Result<CutWorkerEvent, ReplicaError>>,
+    results: &Sender<Result<MadeCut, ReplicaError>>,
 ) {
     loop {
         if !prefetch.can_work() {

@@ -22,6 +22,10 @@ pub(crate) enum Part {
     Resyncing,
     /// The tool is inactive, because the network is too slow.
     Demoted,
+    /// The instructor has muted the tool.
+    Muted,
+    /// The instructor has frozen the session.
+    Frozen,
 }
 
 impl Part {
@@ -32,6 +36,10 @@ impl Part {
             Self::CatchingUp
         } else if site.is_demoted() {
             Self::Demoted
+        } else if site.is_muted() {
+            Self::Muted
+        } else if site.is_frozen() {
+            Self::Frozen
         } else {
             Self::Participating
         }
@@ -44,6 +52,8 @@ pub(crate) struct Progress {
     pub(crate) delay: Span,
     pub(crate) clock_error: Option<Span>,
     pub(crate) topology_version: u32,
+    /// Age of the contact model; `None` without a hand.
+    pub(crate) model_age: Option<Span>,
     pub(crate) here: usize,
     pub(crate) link_lost: bool,
     pub(crate) part: Part,

@@ -23,6 +23,7 @@ use super::cut_worker::CutWorker;
 use super::progress::{Part, Progress};
 use super::view_thread::{Order, ViewReport, ViewThread};
 use crate::network::Inbox;
+use crate::page::PageWindow;
 use crate::program::Ending;
 use crate::realtime::{Frame, device_time, monotonic_now, single_thread_pool, sleep_until, worked};
 use crate::recording::{Recording, VIEW_HZ, ViewRecord};
@@ -50,6 +51,8 @@ pub(crate) struct Inputs {
     /// Every n-th grid point is recorded; `None` records nothing.
     pub(crate) record_every: Option<i64>,
     pub(crate) recording: Recording,
+    /// The page that shows this replica.
+    pub(crate) page: Option<PageWindow>,
 }
 
 /// The ends of the force loop's buffers that belong to the replica.
@@ -208,6 +211,9 @@ impl ReplicaLoop {
                 ClientEvent::Closed(reason) => self.ending = Some(Ending::Closed(reason.clone())),
                 _ => {}
             }
+            if let Some(page) = &self.inputs.page {
+                page.note(&event, monotonic_now());
+            }
             self.inputs.site.handle_event(event, monotonic_now())?;
             let resyncs = self.inputs.site.counters().resyncs;
             if resyncs != self.resyncs {
@@ -248,9 +254,10 @@ impl ReplicaLoop {
         let site = &mut self.inputs.site;
         if let Some((prefetch, view)) = site.detach() {
             let failed = |error: std::io::Error| SiteError::Thread(error.to_string());
+            let feed = self.inputs.page.as_ref().map(PageWindow::feed);
             self.helpers = Some(Helpers {
                 cuts: CutWorker::spawn(prefetch).map_err(failed)?,
-                view: ViewThread::spawn(view).map_err(failed)?,
+                view: ViewThread::spawn(view, feed).map_err(failed)?,
             });
         }
         let Some(helpers) = &mut self.helpers else {
@@ -370,6 +377,10 @@ impl ReplicaLoop {
         if let Some(frame) = self.inputs.site.next_view(monotonic_now()) {
             let every = self.inputs.record_every;
             let is_recorded = every.is_some_and(|n| frame.k % n == 0);
+            if let Some(page) = &self.inputs.page {
+                let hand = self.inputs.hand.as_mut();
+                page.show_tools(&frame, hand.map(|hand| hand.newest.read()));
+            }
             helpers.view.order(Order::Show(frame, is_recorded));
         }
     }
@@ -380,6 +391,11 @@ impl ReplicaLoop {
             return;
         };
         self.first_view.get_or_insert_with(monotonic_now);
+        if let Some(page) = &mut self.inputs.page
+            && let Some(thin) = self.inputs.site.replica().thin_view()
+        {
+            page.show_thin(self.inputs.site.replica().topology(), thin.shape(), &frame);
+        }
         let every = self.inputs.record_every;
         if every.is_some_and(|n| frame.k % n == 0)
             && let Some((shape, version)) = self.inputs.site.seen()
@@ -426,6 +442,8 @@ impl ReplicaLoop {
         progress.delay = delay;
         progress.clock_error = site.clock().map(|c| c.error_bound());
         progress.topology_version = site.replica().topology().version();
+        let hand = self.inputs.hand.as_mut();
+        progress.model_age = hand.map(|hand| hand.newest.read().contact_age);
         progress.here = site.roster().count();
         progress.link_lost = self.link_lost;
         progress.part = Part::of(site);

@@ -5,9 +5,10 @@ use std::thread::JoinHandle;
 
 use palpate_protocol::datagram::Corrections;
 use palpate_protocol::{ClientTime, ServerTime, Span};
-use palpate_site::{Drift, VIEW_ITERATIONS, VIEW_TOLERANCE, View, ViewCut, ViewFrame};
-use palpate_tissue::Budget;
+use palpate_site::{Drift, VIEW_ITERATIONS, VIEW_TOLERANCE, View, ViewFrame};
+use palpate_tissue::{Budget, PreparedCut};
 use palpate_transport::threads::{self, ThreadClass};
+use palpate_view::Feed;
 
 use crate::realtime::{monotonic_now, single_thread_pool, worked};
 use crate::recording::ViewRecord;
@@ -18,7 +19,7 @@ const WORK: Span = Span::from_millis(5);
 /// Orders to the thread, in order.
 pub(crate) enum Order {
     /// Adopt a cut.
-    Cut(Box<ViewCut>),
+    Cut(Box<PreparedCut>),
     /// Compare a past view with the server.
     Correct(Corrections),
     /// Solve this view; record it if true.
@@ -48,12 +49,13 @@ pub(crate) struct ViewThread {
 }
 
 impl ViewThread {
-    pub(crate) fn spawn(view: View) -> std::io::Result<Self> {
+    /// Solves views; `feed` shows them to pages.
+    pub(crate) fn spawn(view: View, feed: Option<Feed>) -> std::io::Result<Self> {
         let (orders, received) = channel();
         let (sender, reports) = channel();
         let thread = threads::spawn(ThreadClass::Background, "view", move || {
             let _pool = single_thread_pool();
-            serve(view, &received, &sender);
+            serve(view, feed, &received, &sender);
         })?;
         Ok(Self {
             orders: Some(orders),
@@ -108,7 +110,12 @@ impl Drop for ViewThread {
     }
 }
 
-fn serve(mut view: View, orders: &Receiver<Order>, reports: &Sender<ViewReport>) {
+fn serve(
+    mut view: View,
+    mut feed: Option<Feed>,
+    orders: &Receiver<Order>,
+    reports: &Sender<ViewReport>,
+) {
     for order in orders {
         let report = match order {
             Order::Cut(cut) => {
@@ -119,7 +126,13 @@ fn serve(mut view: View, orders: &Receiver<Order>, reports: &Sender<ViewReport>)
                 Some(drift) => ViewReport::Compared(corrections.view_time, drift),
                 None => continue,
             },
-            Order::Show(frame, is_recorded) => show(&mut view, &frame, is_recorded),
+            Order::Show(frame, is_recorded) => {
+                let report = show(&mut view, &frame, is_recorded);
+                if let Some(feed) = &mut feed {
+                    feed.show(view.tissue(), frame.s);
+                }
+                report
+            }
         };
         if reports.send(report).is_err() {
             return;

@@ -17,7 +17,8 @@ use palpate_protocol::{
     Epoch, Grant, JoinLink, ModelHash, ModelInfo, OperationId, ParticipantId, ResumeToken, Role,
     ServerTime, Span, TopologyHash,
 };
-use palpate_tissue::{Material, Model, Topology, block, cut, encode_model};
+use palpate_tissue::file::encode_model;
+use palpate_tissue::{Material, Model, Topology, block, cut};
 use palpate_transport::{
     ModelSource, PeerHandle, PeerId, PeerInput, Server, ServerIdentity, spawn_peer,
 };
@@ -82,6 +83,8 @@ fn stroke() -> CutStroke {
         depth_m: 4.0 * CELL,
     };
     CutStroke {
+        began: ServerTime::ZERO,
+        joins: false,
         points: (2..9).map(point).collect(),
         width_m: 0.5e-3,
     }
@@ -370,7 +373,11 @@ fn welcome(info: ModelInfo, now: ServerTime, hello: &Hello) -> PeerMessage {
 fn play(peer: &PeerHandle, manner: Manner, now: ServerTime) {
     let mut topology = Topology::new(Arc::new(model()));
     let before = wire(topology.hash());
-    cut(&mut topology, &palpate_site::tissue_stroke(&stroke())).unwrap();
+    cut(
+        &mut topology,
+        &palpate_site::tissue_stroke(ParticipantId::SERVER, &stroke()).path,
+    )
+    .unwrap();
     let after = if manner == Manner::Lies {
         TopologyHash(1)
     } else {

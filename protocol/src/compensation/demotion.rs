@@ -61,6 +61,17 @@ impl Demotion {
         }
     }
 
+    /// Changes the largest delay of the session.
+    pub fn set_cap(&mut self, cap: Span) {
+        self.cap = cap;
+    }
+
+    /// Ends a demotion at once, because the session no longer has a cap. Returns whether there was one.
+    pub fn end(&mut self) -> bool {
+        self.since = None;
+        std::mem::take(&mut self.demoted)
+    }
+
     /// Takes a report and returns the decision, if any.
     pub fn handle_wanted(&mut self, wanted: Span, now: ServerTime) -> Option<DemotionDecision> {
         if self.last.is_some_and(|last| now - last > REPORT_OLD) {

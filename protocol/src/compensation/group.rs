@@ -17,6 +17,8 @@ pub struct GroupDelay {
     last_change: Option<ServerTime>,
     wanted: Vec<(ParticipantId, u32)>,
     floor: Floor,
+    /// See [`bound_predictions`](Self::bound_predictions).
+    prediction_max_us: u32,
 }
 
 /// Minima of the server's own delay estimate and of the participants' worst report, over the current
@@ -107,7 +109,13 @@ impl GroupDelay {
             last_change: None,
             wanted: Vec::new(),
             floor: Floor::default(),
+            prediction_max_us: u32::MAX,
         }
+    }
+
+    /// Changes the rule. Without artificial delay D goes to zero; a fixed D stays as it is.
+    pub fn set_mode(&mut self, mode: CompensationMode) {
+        self.mode = mode;
     }
 
     /// Takes a site's delay estimate: a participant's report, or the server's own measurement of
@@ -119,6 +127,12 @@ impl GroupDelay {
         }
     }
 
+    /// Bounds predictions by the longest path that measurements explain, µs: a prediction adds a rise of the server's
+    /// estimate to an earlier report, although both may be of one path.
+    pub fn bound_predictions(&mut self, path_us: u32) {
+        self.prediction_max_us = path_us;
+    }
+
     /// Forgets a participant that left.
     pub fn remove(&mut self, who: ParticipantId) {
         self.wanted.retain(|(p, _)| *p != who);
@@ -127,8 +141,10 @@ impl GroupDelay {
     /// Returns a new decision if one is due. It takes effect `lead` from now: choose a lead within which
     /// an operation reaches every site, so that all sites change together.
     pub fn poll_change(&mut self, now: ServerTime, lead: Span) -> Option<DelayChange> {
-        let CompensationMode::Adaptive { cap_us } = self.mode else {
-            return None;
+        let cap_us = match self.mode {
+            CompensationMode::Adaptive { cap_us } => cap_us,
+            CompensationMode::None => return self.end_delay(now, lead),
+            CompensationMode::Fixed => return None,
         };
         let (server, participants): (Vec<_>, Vec<_>) =
             (self.wanted.iter()).partition(|(p, _)| *p == ParticipantId::SERVER);
@@ -140,7 +156,8 @@ impl GroupDelay {
                     server_us,
                     participants_us,
                 };
-                self.floor.predict(estimates, now).max(server_us)
+                let predicted = self.floor.predict(estimates, now);
+                predicted.min(self.prediction_max_us).max(server_us)
             }
             (server, participants) => server.max(participants)?,
         }
@@ -163,6 +180,19 @@ impl GroupDelay {
         self.last_change = Some(now);
         Some(DelayChange {
             delay_us: wanted,
+            effective_at: now + lead,
+        })
+    }
+
+    /// The change to no delay, after a change of the rule.
+    fn end_delay(&mut self, now: ServerTime, lead: Span) -> Option<DelayChange> {
+        if self.target_us == 0 {
+            return None;
+        }
+        self.target_us = 0;
+        self.last_change = Some(now);
+        Some(DelayChange {
+            delay_us: 0,
             effective_at: now + lead,
         })
     }

@@ -246,3 +246,26 @@ fn sender_lateness_does_not_count_as_network_delay() {
     let wanted = estimator.wanted().unwrap();
     assert!(wanted <= Span::from_millis(68), "{wanted:?}");
 }
+
+#[test]
+fn prediction_stays_within_the_measured_path_and_covers_the_uplink() {
+    let lead = Span::from_millis(100);
+    let report = |wanted_us| DelayReport {
+        wanted_us,
+        ..DelayReport::default()
+    };
+    // The uplink rises by 38 ms while the last report of the whole way is 45 ms.
+    let after_rise = |path_us: u32| {
+        let mut group = GroupDelay::new(&adaptive(10_000, 400_000));
+        group.bound_predictions(path_us);
+        group.handle_report(ParticipantId(1), report(45_000));
+        group.handle_report(ParticipantId::SERVER, report(7_000));
+        group.poll_change(at(0), lead);
+        group.handle_report(ParticipantId::SERVER, report(45_000));
+        let change = group.poll_change(at(100_000), lead);
+        change.map_or(45_000, |change| change.delay_us)
+    };
+    assert_eq!(after_rise(u32::MAX), 83_000);
+    assert_eq!(after_rise(65_000), 65_000);
+    assert_eq!(after_rise(20_000), 45_000, "never below the uplink");
+}

@@ -191,6 +191,9 @@ impl ClientSession {
             (State::Joined(_), ServerMessage::RequestRefused(refused)) => {
                 self.emit(ClientEvent::RequestRefused(refused));
             }
+            (State::Joined(_), ServerMessage::Invitation(invitation)) => {
+                self.emit(ClientEvent::Invitation(invitation));
+            }
             (State::Joined(_), ServerMessage::Welcome(_) | ServerMessage::Refused(_)) => {
                 return out_of_order(
                     "second answer to the hello",
@@ -253,13 +256,17 @@ impl ClientSession {
             });
         }
         joined.next_operation = operation.id.next();
+        if !operation.kind.is_valid() {
+            let what = match operation.kind {
+                OperationKind::Cut(_) => "a stroke",
+                _ => "an operation",
+            };
+            return Err(ProtocolError::OutOfRange {
+                what,
+                detail: format!("a number or text of {} is not allowed", operation.id),
+            });
+        }
         match &operation.kind {
-            OperationKind::Cut(stroke) if !stroke.is_valid() => {
-                return Err(ProtocolError::OutOfRange {
-                    what: "a stroke",
-                    detail: format!("{} points in {}", stroke.points.len(), operation.id),
-                });
-            }
             OperationKind::Compensation {
                 delay_us,
                 effective_at,
@@ -268,7 +275,11 @@ impl ClientSession {
             }
             OperationKind::Left { participant, .. }
             | OperationKind::Disconnected { participant }
-            | OperationKind::Demoted { participant, .. } => {
+            | OperationKind::Demoted { participant, .. }
+            | OperationKind::Muted {
+                participant,
+                is_muted: true,
+            } => {
                 joined.newest_shown.retain(|(p, _)| p != participant);
                 // The last delay estimate is void: no other participant's motion arrives.
                 if joined.newest_shown.is_empty() {

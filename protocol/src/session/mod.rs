@@ -29,7 +29,7 @@ use crate::datagram::{Corrections, Displacements};
 use crate::handshake::{Hello, Refused, Welcome};
 use crate::lateness::Lateness;
 use crate::operation::Operation;
-use crate::request::{DelayReport, Request, RequestRefused};
+use crate::request::{DelayReport, Invitation, Request, RequestRefused};
 use crate::{ParticipantId, ProtocolError, ServerTime, Span, ToolSample, ToolTrack};
 
 use link::Link;
@@ -108,6 +108,8 @@ pub enum ClientEvent {
     CaughtUp,
     /// A request was refused.
     RequestRefused(RequestRefused),
+    /// The secret of an invitation that this participant requested.
+    Invitation(Invitation),
     /// Samples of another participant's tool, oldest first; some may be repeated. For that tool's
     /// [`Timeline`](crate::timeline::Timeline).
     Motion(ToolTrack),
@@ -200,6 +202,8 @@ pub enum PeerMessage {
     Operation(Arc<Operation>),
     /// Refuses a request.
     RequestRefused(RequestRefused),
+    /// Returns the secret of an invitation to its requester.
+    Invitation(Invitation),
     /// Ends the session.
     Goodbye(String),
 }

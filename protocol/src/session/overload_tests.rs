@@ -40,6 +40,8 @@ fn operation(id: u64, points: usize) -> PeerMessage {
         depth_m: 0.03,
     };
     let kind = OperationKind::Cut(CutStroke {
+        began: ServerTime::ZERO,
+        joins: false,
         points: vec![blade; points],
         width_m: 0.001,
     });

@@ -120,8 +120,10 @@ pub(super) struct PictureStream {
     newest: Option<Arc<Picture>>,
     /// Whether the newest picture is not yet divided into pieces.
     is_fresh: bool,
-    /// By node number; as long as the largest number that was in view.
+    /// By node number; as long as the largest number in view.
     sent: Vec<SentNode>,
+    /// The topology of the nodes.
+    topology_version: u32,
     /// Chosen pieces of the newest picture that are not sent yet.
     pieces: VecDeque<Displacements>,
     flights: VecDeque<Flight>,
@@ -165,7 +167,9 @@ impl PictureStream {
             let part = if took > *usual { 2 } else { 16 };
             *usual = *usual + Span::from_micros((took - *usual).as_micros() / part);
             for node in flight.nodes {
-                let sent = &mut self.sent[node as usize];
+                let Some(sent) = self.sent.get_mut(node as usize) else {
+                    continue;
+                };
                 if sent.fate == DeliveryState::InFlight(flight.sequence) {
                     sent.fate = DeliveryState::Known;
                     sent.known = sent.last;
@@ -233,7 +237,9 @@ impl PictureStream {
                 return;
             };
             for node in flight.nodes {
-                let sent = &mut self.sent[node as usize];
+                let Some(sent) = self.sent.get_mut(node as usize) else {
+                    continue;
+                };
                 if sent.fate == DeliveryState::InFlight(flight.sequence) {
                     sent.fate = DeliveryState::Unsent;
                     self.stats.resent += 1;
@@ -247,7 +253,9 @@ impl PictureStream {
         let guess = self.node_bytes.get_or_insert(each);
         *guess += FOLLOW * (each - *guess);
         for (node, displacement) in &piece.nodes {
-            let sent = &mut self.sent[*node as usize];
+            let Some(sent) = self.sent.get_mut(*node as usize) else {
+                continue;
+            };
             sent.last = steps(*displacement);
             sent.fate = DeliveryState::InFlight(sequence);
         }
@@ -265,9 +273,13 @@ impl PictureStream {
             return;
         };
         let longest = picture.nodes.last().map_or(0, |n| *n as usize + 1);
-        if self.sent.len() < longest {
-            self.sent.resize(longest, SentNode::default());
+        if picture.topology_version > self.topology_version + 1 {
+            // An undo and a cut between two pictures may have given numbers to other nodes.
+            self.sent.clear();
         }
+        self.topology_version = picture.topology_version;
+        // An undo removes the nodes with the largest numbers; a later cut gives the numbers to others.
+        self.sent.resize(longest, SentNode::default());
         let all = picture.nodes.iter().zip(&picture.displacements);
         let mut off: Vec<(f32, u32, [f32; 3])> = all
             .filter_map(|(node, d)| Some((self.sent[*node as usize].off(*d)?, *node, *d)))

@@ -375,6 +375,10 @@ impl ServerPeer {
             (PeerMessage::RequestRefused(refused), State::Joined { .. }) => self
                 .outbox
                 .push(&ServerMessage::RequestRefused(refused.clone())),
+            (PeerMessage::Invitation(invitation), State::Joined { .. }) => {
+                self.outbox.push(&ServerMessage::Invitation(*invitation))
+            }
+            (PeerMessage::Invitation(_), _) => not_joined("invitation"),
             (PeerMessage::Operation(_), _) => not_joined("operation"),
             (PeerMessage::RequestRefused(_), _) => not_joined("refusal of a request"),
             (PeerMessage::Goodbye(sentence), _) => {

@@ -159,10 +159,7 @@ fn run_peer(from: &str, what: &str) -> &'static str {
         version: 0,
         hash: TopologyHash(0),
     };
-    let odd = RequestKind::Cut(CutRequest {
-        points: Vec::new(),
-        width_m: f64::NAN,
-    });
+    let odd = RequestKind::Cut(CutRequest::whole(Vec::new(), f64::NAN));
     let sent = match what {
         "the room welcomes" => peer.send(&PeerMessage::Welcome(Box::new(welcome(0, 0))), now),
         "the room refuses" => {

@@ -10,8 +10,11 @@ use quinn::{
 };
 use quinn_proto::RandomConnectionIdGenerator;
 use rustls::crypto::CryptoProvider;
+use rustls::server::{ClientHello, ResolvesServerCert};
+use rustls::sign::CertifiedKey;
 
 use crate::TransportError;
+use crate::certificate::ShortLived;
 use crate::controller::FloorConfig;
 use crate::identity::{Pinned, ServerIdentity};
 
@@ -20,6 +23,12 @@ pub(crate) const ALPN_SESSION: &[u8] = b"palpate/1";
 
 /// The ALPN of a model transfer's connection.
 pub(crate) const ALPN_BULK: &[u8] = b"palpate-bulk/1";
+
+/// The ALPN of a browser's connection: HTTP/3, for WebTransport.
+pub(crate) const ALPN_PAGE: &[u8] = b"h3";
+
+/// One-way streams that a browser opens: HTTP/3 control, QPACK encoder and decoder.
+const BROWSER_UNI_STREAMS: u32 = 3;
 
 /// Datagrams waiting inside quinn, bytes: 14 of the largest. A longer queue is only delay.
 const DATAGRAM_SEND_BUFFER: usize = 16 * 1024;
@@ -84,11 +93,11 @@ const SERVER_ID_BYTES: usize = 3;
 /// ... and towards a client: it has one connection per socket and knows its packets by that.
 const CLIENT_ID_BYTES: usize = 0;
 
-fn provider() -> Arc<CryptoProvider> {
+pub(crate) fn provider() -> Arc<CryptoProvider> {
     Arc::new(rustls::crypto::ring::default_provider())
 }
 
-fn certificate_error(e: impl std::fmt::Display) -> TransportError {
+pub(crate) fn certificate_error(e: impl std::fmt::Display) -> TransportError {
     TransportError::Certificate(e.to_string())
 }
 
@@ -121,9 +130,11 @@ fn session_transport() -> TransportConfig {
     t
 }
 
-/// Bounds what one connection makes the server buffer; see the crate's DECISIONS.md for the sum.
-fn server_transport() -> TransportConfig {
+/// Bounds what one connection makes the server buffer; see the crate's DECISIONS.md for the sum. `uni_streams` is the
+/// number of one-way streams that the other side may open.
+fn server_transport(uni_streams: u32) -> TransportConfig {
     let mut t = session_transport();
+    t.max_concurrent_uni_streams(VarInt::from_u32(uni_streams));
     // The window of a stream can not be changed later; that of the connection bounds all streams.
     t.stream_receive_window(VarInt::from_u32(ADMITTED_WINDOW))
         .receive_window(VarInt::from_u32(PENDING_WINDOW))
@@ -166,19 +177,52 @@ pub(crate) fn client_endpoint() -> EndpointConfig {
     endpoint(CLIENT_ID_BYTES)
 }
 
-pub(crate) fn server(identity: &ServerIdentity) -> Result<ServerConfig, TransportError> {
+/// Presents the identity to programs and a certificate of short validity to browsers.
+#[derive(Debug)]
+struct ByAlpn {
+    session: Arc<CertifiedKey>,
+    page: Option<Arc<ShortLived>>,
+}
+
+impl ResolvesServerCert for ByAlpn {
+    fn resolve(&self, hello: ClientHello<'_>) -> Option<Arc<CertifiedKey>> {
+        let is_page = hello
+            .alpn()
+            .is_some_and(|mut offered| offered.all(|alpn| alpn == ALPN_PAGE));
+        match &self.page {
+            Some(page) if is_page => Some(page.key()),
+            _ => Some(Arc::clone(&self.session)),
+        }
+    }
+}
+
+/// `page` is the certificate for browsers; without it they are not served.
+pub(crate) fn server(
+    identity: &ServerIdentity,
+    page: Option<Arc<ShortLived>>,
+) -> Result<ServerConfig, TransportError> {
+    let chain = vec![identity.certificate()];
+    let session = CertifiedKey::from_der(chain, identity.key(), &provider());
+    let session = Arc::new(session.map_err(certificate_error)?);
+    let mut alpn = vec![ALPN_SESSION.to_vec(), ALPN_BULK.to_vec()];
+    let mut uni_streams = 0;
+    if page.is_some() {
+        alpn.push(ALPN_PAGE.to_vec());
+        // Browsers reject a lower limit, and the kind of a connection is unknown before its handshake. What a program
+        // sends on such a stream stays unread within the connection's window.
+        uni_streams = BROWSER_UNI_STREAMS;
+    }
     let mut tls = rustls::ServerConfig::builder_with_provider(provider())
         .with_protocol_versions(&[&rustls::version::TLS13])
         .map_err(certificate_error)?
         .with_no_client_auth()
-        .with_single_cert(vec![identity.certificate()], identity.key())
-        .map_err(certificate_error)?;
-    tls.alpn_protocols = vec![ALPN_SESSION.to_vec(), ALPN_BULK.to_vec()];
+        .with_cert_resolver(Arc::new(ByAlpn { session, page }));
+    tls.alpn_protocols = alpn;
     // Early data can be replayed by an attacker: never for grants.
     tls.max_early_data_size = 0;
     let quic = QuicServerConfig::try_from(tls).map_err(certificate_error)?;
     let mut config = ServerConfig::with_crypto(Arc::new(quic));
-    config.transport_config(Arc::new(server_transport()));
+    config.transport_config(Arc::new(server_transport(uni_streams)));
     config
         .max_incoming(INCOMING_MAX)
         .incoming_buffer_size(INCOMING_BYTES_MAX)

@@ -38,7 +38,7 @@ impl ServerIdentity {
             certificate: CertificateDer::from(certificate),
             key,
         };
-        config::server(&identity)?;
+        config::server(&identity, None)?;
         Ok(identity)
     }
 
@@ -61,7 +61,7 @@ impl ServerIdentity {
     }
 }
 
-fn hash_of(certificate: &CertificateDer<'_>) -> CertificateHash {
+pub(crate) fn hash_of(certificate: &CertificateDer<'_>) -> CertificateHash {
     CertificateHash(Sha256::digest(certificate).into())
 }
 

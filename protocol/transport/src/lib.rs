@@ -16,6 +16,7 @@
 
 mod admission;
 mod bulk;
+mod certificate;
 mod client;
 mod config;
 mod connection;
@@ -24,6 +25,8 @@ mod drive;
 mod error;
 mod identity;
 mod log;
+mod page_connection;
+mod page_tls;
 mod rate_cap;
 mod server;
 mod slots;
@@ -42,5 +45,9 @@ pub use drive::peer::{
 pub use error::TransportError;
 pub use identity::ServerIdentity;
 pub use log::start_log;
+pub use page_connection::{
+    Delivery, PageAttempt, PageBytes, PageDoor, PageEndpoint, PageReceiver, PageSender,
+};
+pub use page_tls::{PageStream, PageTls, PageTlsError};
 pub use server::Server;
 pub use tracing_subscriber::filter::LevelFilter;

@@ -1,4 +1,4 @@
-//! A listening socket: sessions are handed out, model transfers are served here.
+//! A listening socket: sessions and browsers are handed out, model transfers are served here.
 
 use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};
@@ -13,10 +13,12 @@ use tokio::time::MissedTickBehavior;
 
 use crate::admission::AdmissionStats;
 use crate::bulk::{ModelSource, Transfers};
-use crate::config::{self, ALPN_BULK};
+use crate::certificate::ShortLived;
+use crate::config::{self, ALPN_BULK, ALPN_PAGE};
 use crate::connection::Connection;
 use crate::error::GOODBYE;
 use crate::identity::ServerIdentity;
+use crate::page_connection::{PageAttempt, PageDoor};
 use crate::slots::{Attempt, CHECK_PERIOD, Slot, Slots};
 use crate::{TransportError, bulk};
 
@@ -39,7 +41,32 @@ impl Server {
         identity: &ServerIdentity,
         models: ModelSource,
     ) -> Result<Self, TransportError> {
-        let config = config::server(identity)?;
+        Self::listen(address, (identity, None), models, None)
+    }
+
+    /// The same, and serves browsers by WebTransport, with a certificate of short validity for the host names or
+    /// addresses `names`.
+    pub fn bind_with_pages(
+        address: SocketAddr,
+        identity: &ServerIdentity,
+        models: ModelSource,
+        names: Vec<String>,
+    ) -> Result<(Self, PageDoor), TransportError> {
+        let certificate = ShortLived::new(names)?;
+        let (sender, attempts) = mpsc::channel(ACCEPTED_MAX);
+        let identities = (identity, Some(Arc::clone(&certificate)));
+        let server = Self::listen(address, identities, models, Some(sender))?;
+        let door = PageDoor::new(server.address.port(), certificate, attempts);
+        Ok((server, door))
+    }
+
+    fn listen(
+        address: SocketAddr,
+        (identity, page): (&ServerIdentity, Option<Arc<ShortLived>>),
+        models: ModelSource,
+        pages: Option<mpsc::Sender<PageAttempt>>,
+    ) -> Result<Self, TransportError> {
+        let config = config::server(identity, page)?;
         let at_address = |source: std::io::Error| match source.kind() {
             ErrorKind::AddrInUse => TransportError::PortTaken { address },
             _ => TransportError::Bind { address, source },
@@ -59,6 +86,7 @@ impl Server {
             endpoint: endpoint.clone(),
             slots: Arc::clone(&slots),
             sessions: sender,
+            pages,
             models,
             transfers: Arc::default(),
         };
@@ -113,6 +141,8 @@ struct Listener {
     endpoint: Endpoint,
     slots: Arc<Slots>,
     sessions: mpsc::Sender<Connection>,
+    /// Without it, no browser is served.
+    pages: Option<mpsc::Sender<PageAttempt>>,
     models: ModelSource,
     transfers: Arc<Transfers>,
 }
@@ -151,14 +181,24 @@ impl Listener {
         }
     }
 
-    /// Completes the handshake and serves a transfer, or hands a session to the shell.
+    /// Completes the handshake and serves a transfer, or hands a session or a browser to the shell.
     async fn serve(self, incoming: Incoming, mut slot: Slot) {
         let address = incoming.remote_address();
-        let Some((quic, streams)) = open(incoming, &mut slot).await else {
+        let Some(quic) = slot.shake(incoming).await else {
             tracing::debug!(%address, "an attempt came to nothing");
             return;
         };
-        if is_bulk(&quic) {
+        let alpn = alpn(&quic);
+        if alpn.as_deref() == Some(ALPN_PAGE) {
+            self.serve_page(quic, slot).await;
+            return;
+        }
+        // The slot closes a connection that opens no stream.
+        let Ok(streams) = quic.accept_bi().await else {
+            tracing::debug!(%address, "an attempt came to nothing");
+            return;
+        };
+        if alpn.as_deref() == Some(ALPN_BULK) {
             bulk::serve(quic, streams, slot, &self.models, &self.transfers).await;
             return;
         }
@@ -169,18 +209,23 @@ impl Listener {
             _ = quic.closed() => {}
         }
     }
+
+    async fn serve_page(self, quic: quinn::Connection, slot: Slot) {
+        let address = quic.remote_address();
+        let attempt = PageAttempt::receive(quic.clone(), slot).await;
+        let (Some(pages), Some(attempt)) = (self.pages, attempt) else {
+            tracing::debug!(%address, "no WebTransport request");
+            quic.close(VarInt::from_u32(0), b"only WebTransport is served here");
+            return;
+        };
+        tokio::select! {
+            _ = pages.send(attempt) => {}
+            _ = quic.closed() => {}
+        }
+    }
 }
 
-type Streams = (quinn::SendStream, quinn::RecvStream);
-
-async fn open(incoming: Incoming, slot: &mut Slot) -> Option<(quinn::Connection, Streams)> {
-    let quic = slot.shake(incoming).await?;
-    // The slot closes a connection that opens no stream.
-    let streams = quic.accept_bi().await.ok()?;
-    Some((quic, streams))
-}
-
-fn is_bulk(quic: &quinn::Connection) -> bool {
-    let data = quic.handshake_data().and_then(|data| data.downcast().ok());
-    data.is_some_and(|data: Box<HandshakeData>| data.protocol.as_deref() == Some(ALPN_BULK))
+fn alpn(quic: &quinn::Connection) -> Option<Vec<u8>> {
+    let data = quic.handshake_data()?.downcast::<HandshakeData>().ok()?;
+    data.protocol
 }

@@ -31,8 +31,8 @@ impl InputError {
     }
 }
 
-impl From<palpate_tissue::WriteError> for InputError {
-    fn from(e: palpate_tissue::WriteError) -> Self {
+impl From<palpate_tissue::file::WriteError> for InputError {
+    fn from(e: palpate_tissue::file::WriteError) -> Self {
         Self::new(e)
     }
 }

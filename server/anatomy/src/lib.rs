@@ -16,7 +16,7 @@
 //!
 //! ```no_run
 //! use palpate_anatomy::{build, sample::Sample};
-//! use palpate_tissue::{encode_model, write_file};
+//! use palpate_tissue::file::{encode_model, write_file};
 //!
 //! let input = Sample::Handle.input()?;
 //! let (model, report) = build(&input, &mut |_, _| {})?;

@@ -10,10 +10,8 @@ use std::sync::Arc;
 use palpate_anatomy::build;
 use palpate_anatomy::sample::Sample;
 use palpate_tissue::cell::NO_CELL;
-use palpate_tissue::{
-    BladePoint, CutStroke, FaceId, ModelFile, Topology, Vec3, block, cut, decode_model,
-    encode_model,
-};
+use palpate_tissue::file::{ModelFile, decode_model, encode_model};
+use palpate_tissue::{BladePoint, CutStroke, FaceId, Topology, Vec3, block, cut};
 
 fn thigh() -> Topology {
     let input = Sample::Thigh.input().unwrap();

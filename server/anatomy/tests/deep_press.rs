@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use palpate_anatomy::build;
 use palpate_anatomy::sample::Sample;
-use palpate_tissue::{Budget, Material, Shape, Solver, StepReport, Tool, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, StepReport, Tissue, Tool, Topology, Vec3, block};
 
 use places::outermost;
 
@@ -28,9 +28,7 @@ const CONVERGED: f64 = 1e-5;
 
 /// A layer of tissue under a sphere.
 struct Press {
-    topology: Topology,
-    solver: Solver,
-    shape: Shape,
+    tissue: Tissue,
     /// First point of contact of the sphere, and the outward normal there.
     at: Vec3,
     normal: Vec3,
@@ -38,14 +36,8 @@ struct Press {
 
 impl Press {
     fn new(topology: Topology, at: Vec3, normal: Vec3) -> Self {
-        let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
-        Self {
-            topology,
-            solver,
-            shape,
-            at,
-            normal,
-        }
+        let tissue = Tissue::at_rest(topology);
+        Self { tissue, at, normal }
     }
 
     /// Fat over bone; `limit` is the compression limit of the springs.
@@ -68,9 +60,7 @@ impl Press {
     fn step(&mut self, depth: f64, iterations: usize, tolerance: f64) -> StepReport {
         let tool = self.tool(depth);
         let budget = Budget::new(iterations, tolerance);
-        let report = self
-            .solver
-            .step(&self.topology, &mut self.shape, &[tool], budget);
+        let report = self.tissue.step(&[tool], budget);
         assert!(!report.rolled_back, "blown up at {} mm", depth / MM);
         report.clone()
     }
@@ -103,11 +93,11 @@ impl Press {
 
     /// The least determinant of the edges at any corner of any cell, over that at rest.
     fn least_corner(&self) -> f64 {
-        let cells = 0..self.topology.cell_count() as u32;
+        let cells = 0..self.tissue.topology().cell_count() as u32;
         let per_cell = cells.map(|cell| {
-            let nodes = self.topology.corners(cell);
-            let now = nodes.map(|n| self.shape.position(&self.topology, n));
-            let rest = nodes.map(|n| self.topology.rest(n));
+            let nodes = self.tissue.topology().corners(cell);
+            let now = nodes.map(|n| self.tissue.shape().position(self.tissue.topology(), n));
+            let rest = nodes.map(|n| self.tissue.topology().rest(n));
             let pairs = (0..8).map(|c| determinant(&now, c) / determinant(&rest, c));
             pairs.fold(f64::MAX, f64::min)
         });
@@ -117,11 +107,16 @@ impl Press {
     /// The least ratio of any spring's projection on its rest direction to its rest length.
     fn least_part(&self) -> f64 {
         let mut least = f64::MAX;
-        for node in 0..self.topology.node_count() as u32 {
-            let at = self.shape.position(&self.topology, node);
-            for spring in self.topology.springs_of(node) {
-                let rest = self.topology.rest(spring.to) - self.topology.rest(node);
-                let now = self.shape.position(&self.topology, spring.to) - at;
+        for node in 0..self.tissue.topology().node_count() as u32 {
+            let at = self.tissue.shape().position(self.tissue.topology(), node);
+            for spring in self.tissue.topology().springs_of(node) {
+                let rest =
+                    self.tissue.topology().rest(spring.to) - self.tissue.topology().rest(node);
+                let now = self
+                    .tissue
+                    .shape()
+                    .position(self.tissue.topology(), spring.to)
+                    - at;
                 least = least.min(now.dot(&rest) / rest.norm_squared());
             }
         }

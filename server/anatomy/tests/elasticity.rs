@@ -10,7 +10,7 @@ use nalgebra::Rotation3;
 use palpate_anatomy::surface::Unit;
 use palpate_anatomy::{RegionSource, Scene, SceneInput, SceneRegion, Surface, build};
 use palpate_tissue::material::MaterialOverride;
-use palpate_tissue::{Budget, Shape, Solver, Topology, Vec3};
+use palpate_tissue::{Budget, Tissue, Topology, Vec3};
 
 const MM: f64 = 1e-3;
 const YOUNG_PA: f64 = 10e3;
@@ -83,34 +83,33 @@ fn bar(poisson: f64, spacing: f64, turn: &Rotation3<f64>) -> Topology {
 }
 
 /// Prescribes a displacement field on the nodes that `on` selects; returns their numbers.
-fn prescribe(
-    topology: &Topology,
-    solver: &mut Solver,
-    shape: &mut Shape,
-    field: impl Fn(u32, Vec3) -> Option<Vec3>,
-) -> Vec<u32> {
-    let mut held = Vec::new();
+fn prescribe(tissue: &mut Tissue, field: impl Fn(u32, Vec3) -> Option<Vec3>) -> Vec<u32> {
+    let (topology, mut held) = (Arc::clone(tissue.topology()), Vec::new());
     for node in 0..topology.node_count() as u32 {
         if let Some(u) = field(node, topology.rest(node)) {
-            assert!(solver.hold(topology, shape, node, u));
+            assert!(tissue.hold(node, u));
             held.push(node);
         }
     }
     held
 }
 
-fn solve(topology: &Topology, solver: &mut Solver, shape: &mut Shape) {
-    let report = solver.step(topology, shape, &[], Budget::new(300, TOLERANCE));
+fn solve(tissue: &mut Tissue) {
+    let report = tissue.step(&[], Budget::new(300, TOLERANCE));
     assert!(report.residual <= TOLERANCE, "residual {}", report.residual);
 }
 
 /// Mean displacement per distance along `of` against distance along `over`, over the middle half.
-fn slope(topology: &Topology, shape: &Shape, of: Vec3, over: Vec3, along: Vec3) -> f64 {
+fn slope(tissue: &Tissue, of: Vec3, over: Vec3, along: Vec3) -> f64 {
+    let topology = tissue.topology();
     let (mut xx, mut xy, mut x, mut y, mut n) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for node in 0..topology.node_count() as u32 {
         let p = topology.rest(node);
         if p.dot(&along).abs() < 0.4 * HALF[2] {
-            let (a, b) = (p.dot(&over), shape.displacement[node as usize].dot(&of));
+            let (a, b) = (
+                p.dot(&over),
+                tissue.shape().displacement[node as usize].dot(&of),
+            );
             (xx, xy, x, y, n) = (xx + a * a, xy + a * b, x + a, y + b, n + 1.0);
         }
     }
@@ -127,43 +126,42 @@ fn orientations() -> [Rotation3<f64>; 3] {
 
 /// Young's modulus and Poisson's ratio of a bar in tension.
 fn tension(topology: &Topology, turn: &Rotation3<f64>) -> (f64, f64) {
-    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let axes = [0, 1, 2].map(|a| turn * Vec3::ith(a, 1.0));
     let strain = 0.01;
-    let held = prescribe(topology, &mut solver, &mut shape, |_, p| {
+    let held = prescribe(&mut tissue, |_, p| {
         let z = p.dot(&axes[2]);
         (z.abs() > HALF[2] - 0.01 * MM).then(|| axes[2] * (strain * z))
     });
-    solve(topology, &mut solver, &mut shape);
+    solve(&mut tissue);
     let pull: f64 = held
         .iter()
         .filter(|&&n| topology.rest(n).dot(&axes[2]) > 0.0)
-        .map(|&n| -solver.force_on(&shape, n).dot(&axes[2]))
+        .map(|&n| -tissue.force_on(n).dot(&axes[2]))
         .sum();
-    let along = slope(topology, &shape, axes[2], axes[2], axes[2]);
+    let along = slope(&tissue, axes[2], axes[2], axes[2]);
     let across = 0.5
-        * (slope(topology, &shape, axes[0], axes[0], axes[2])
-            + slope(topology, &shape, axes[1], axes[1], axes[2]));
+        * (slope(&tissue, axes[0], axes[0], axes[2]) + slope(&tissue, axes[1], axes[1], axes[2]));
     (pull / (4.0 * HALF[0] * HALF[1]) / along, -across / along)
 }
 
 /// Shear modulus of a bar whose whole surface is sheared.
 fn shear(topology: &Topology, turn: &Rotation3<f64>) -> f64 {
-    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let axes = [0, 1, 2].map(|a| turn * Vec3::ith(a, 1.0));
     let angle = 0.01;
-    let held = prescribe(topology, &mut solver, &mut shape, |node, p| {
+    let held = prescribe(&mut tissue, |node, p| {
         let field = axes[0] * (angle * p.dot(&axes[2]));
         topology.on_boundary(node).then_some(field)
     });
-    solve(topology, &mut solver, &mut shape);
+    solve(&mut tissue);
     // Virtual work: the forces on the surface times the field are the stress times the volume.
     let work: f64 = held
         .iter()
         .map(|&n| {
-            -solver
-                .force_on(&shape, n)
-                .dot(&shape.displacement[n as usize])
+            -tissue
+                .force_on(n)
+                .dot(&tissue.shape().displacement[n as usize])
         })
         .sum();
     work / (angle * angle) / (8.0 * HALF[0] * HALF[1] * HALF[2])
@@ -202,15 +200,15 @@ fn bars_in_series_and_parallel_follow_closed_forms() {
         low[axis] = 0.0;
         let boxes = [(-half, half, YOUNG_PA), (low, half, 5.0 * YOUNG_PA)];
         let topology = model(&boxes, 0.25, 4.0 * MM, &turn);
-        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
-        let held = prescribe(&topology, &mut solver, &mut shape, |_, p| {
+        let mut tissue = Tissue::at_rest(topology.clone());
+        let held = prescribe(&mut tissue, |_, p| {
             (p.z.abs() > HALF[2] - 0.01 * MM).then(|| Vec3::z() * (strain * p.z))
         });
-        solve(&topology, &mut solver, &mut shape);
+        solve(&mut tissue);
         let pull: f64 = held
             .iter()
             .filter(|&&n| topology.rest(n).z > 0.0)
-            .map(|&n| -solver.force_on(&shape, n).z)
+            .map(|&n| -tissue.force_on(n).z)
             .sum();
         let young = pull / (4.0 * HALF[0] * HALF[1]) / strain;
         let error = young / (closed * YOUNG_PA) - 1.0;

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use palpate_anatomy::build;
 use palpate_anatomy::sample::Sample;
-use palpate_tissue::{Budget, Shape, Solver, Tool, Topology, Vec3};
+use palpate_tissue::{Budget, Tissue, Tool, Topology, Vec3};
 
 use places::outermost;
 
@@ -22,17 +22,14 @@ fn deep_press_into_built_tissue_is_stable_and_leaves_no_dent() {
     let topology = Topology::new(Arc::new(model));
     for direction in [Vec3::x(), -Vec3::x(), Vec3::y(), -Vec3::y()] {
         let at = outermost(&topology, direction);
-        let mut shape = Shape::rest(&topology);
-        let mut solver = Solver::new(&topology);
+        let mut tissue = Tissue::at_rest(topology.clone());
         let mut press = |depth_mm: f64| {
             let tool = Tool::ball(1, at + direction * (RADIUS_M - depth_mm * 1e-3), RADIUS_M);
-            let report = solver.step(&topology, &mut shape, &[tool], Budget::new(4, 1e-2));
+            let report = tissue.step(&[tool], Budget::new(4, 1e-2));
             assert!(!report.rolled_back, "at {depth_mm} mm along {direction:?}");
-            let moved = shape.displacement.iter().map(Vec3::norm);
-            (
-                report.reactions[0].force.dot(&direction),
-                moved.fold(0.0, f64::max) * 1e3,
-            )
+            let force = report.reactions[0].force.dot(&direction);
+            let moved = tissue.shape().displacement.iter().map(Vec3::norm);
+            (force, moved.fold(0.0, f64::max) * 1e3)
         };
         let mut forces = Vec::new();
         for tenth in 1..=100 {

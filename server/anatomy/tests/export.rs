@@ -14,7 +14,8 @@ use palpate_anatomy::export::{stage_stl, stage_vtu, surfaces, write_vtu};
 use palpate_anatomy::sample::Sample;
 use palpate_anatomy::{Surface, Unit, build};
 use palpate_tissue::cell::NO_CELL;
-use palpate_tissue::{Material, Shape, Staged, Topology, Vec3, block, cut};
+use palpate_tissue::file::Staged;
+use palpate_tissue::{Material, Shape, Topology, Vec3, block, cut};
 
 fn blocks() -> Topology {
     Topology::new(Arc::new(block([6, 5, 4], 0.004, &Material::default(), 2)))

@@ -2,27 +2,28 @@
 //!
 //! ```text
 //! Room --TissueOrder::Settle--> Authority --TissueReport::Settled--> Room
-//! Room --TissueOrder::Cut-----> Authority --CutJob--> Cutter --TissueReport::Cut--> Room (log, at = now)
+//! Room --TissueOrder::Cut-----> Authority --CutJob--> Cutter --TissueReport::Cut--> Room (log)
 //!                                          <--PreparedCut--
 //! Room --TissueOrder::Apply---> Authority: the prepared cut enters the first view whose time has reached `at`
 //! ```
 //!
-//! A cut takes a hundred milliseconds, an equilibrium up to ten. A server therefore runs each on its own thread, and
+//! A part of a stroke takes some milliseconds, an undo a hundred, an equilibrium up to ten. A server therefore runs each on its own thread, and
 //! the room, which relays motion, waits for neither.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use palpate_protocol::datagram::Corrections;
-use palpate_protocol::operation::CutStroke;
-use palpate_protocol::request::{CutRequest, RequestRefusal};
+use palpate_protocol::operation::OperationKind;
+use palpate_protocol::request::{CutRequest, RequestRefusal, TimedBladePoint};
 use palpate_protocol::session::Picture;
 use palpate_protocol::{ParticipantId, RequestId, ServerTime, Span, TopologyHash};
 use palpate_tissue::{
-    Budget, CutError, CutOutcome, Follower, Model, Shape, Solver, Successor, Tool, Topology, cut,
+    Budget, CutError, CutPreparer, Model, PreparedCut, Shape, Tissue, Tool, Topology,
 };
 
 use crate::convert;
+use crate::open_strokes::{OpenStrokes, RestPart};
 use crate::pictures::Pictures;
 
 /// Relative residual at which a tick has converged: forces are within a few percent, and shapes of replicas within
@@ -74,8 +75,21 @@ pub struct CutOrder {
     pub author: ParticipantId,
     /// The number of the request.
     pub request: RequestId,
-    /// The stroke in the deformed frame.
-    pub cut: CutRequest,
+    /// The requested change.
+    pub change: RequestedChange,
+}
+
+/// A change of the topology as it was requested.
+#[derive(Debug, Clone, PartialEq)]
+pub enum RequestedChange {
+    /// A cut along a stroke in the deformed frame.
+    Cut(CutRequest),
+    /// Takes back the last cut.
+    Undo,
+    /// Repeats the last cut that was taken back.
+    Redo,
+    /// Returns to the uncut tissue.
+    Reset,
 }
 
 /// Report on an order. [`Apply`](TissueOrder::Apply) has none.
@@ -106,12 +120,14 @@ pub enum TissueReport {
 /// A prepared cut as the log describes it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoggedCut {
-    /// The stroke in the rest frame, for every replica to repeat.
-    pub stroke: CutStroke,
+    /// The change; a stroke is in the rest frame. Every replica repeats it.
+    pub change: OperationKind,
     /// Topology version after it.
     pub version: u32,
     /// Topology hash after it.
     pub hash: TopologyHash,
+    /// When the blade was at the end of the path.
+    pub blade_at: Option<ServerTime>,
 }
 
 /// Statistics of a tick.
@@ -134,9 +150,7 @@ pub struct TickReport {
 /// Calling order: [`settle`](Self::settle) with ascending times; [`take_cut`](Self::take_cut) for every cut that the
 /// [`Cutter`] prepared, in order; [`apply`](Self::apply) once the cut is in the log.
 pub struct Authority {
-    topology: Arc<Topology>,
-    shape: Shape,
-    solver: Solver,
+    tissue: Tissue,
     view_time: ServerTime,
     prepared: VecDeque<PreparedCut>,
     /// Times at which cuts take effect, by topology version. The prepared cut may arrive later.
@@ -149,36 +163,60 @@ pub struct Authority {
 pub struct CutJob {
     author: ParticipantId,
     request: RequestId,
-    stroke: CutStroke,
+    change: ChangeAtRest,
 }
 
-/// A cut that waits for the view in which it takes effect.
-pub struct PreparedCut {
-    topology: Arc<Topology>,
-    outcome: CutOutcome,
-    successor: Successor,
+impl CutJob {
+    /// Maps the stroke of a request from this shape to the rest frame.
+    pub fn new(order: &CutOrder, topology: &Topology, shape: &Shape) -> Self {
+        let change = match &order.change {
+            RequestedChange::Cut(cut) => {
+                let time = |point: Option<&TimedBladePoint>| point.map_or(cut.began, |p| p.time);
+                ChangeAtRest::Cut(RestPart {
+                    began: cut.began,
+                    times: [cut.points.first(), cut.points.last()].map(time),
+                    points: convert::path_at_rest(cut, topology, shape),
+                    width_m: cut.width_m,
+                    is_last: cut.is_last,
+                })
+            }
+            RequestedChange::Undo => ChangeAtRest::Undo,
+            RequestedChange::Redo => ChangeAtRest::Redo,
+            RequestedChange::Reset => ChangeAtRest::Reset,
+        };
+        Self {
+            author: order.author,
+            request: order.request,
+            change,
+        }
+    }
+}
+
+/// A change of the topology, in the rest frame.
+#[derive(Debug, Clone)]
+enum ChangeAtRest {
+    Cut(RestPart),
+    Undo,
+    Redo,
+    Reset,
 }
 
 /// The newest topology of the log, ahead of the shape by the cuts that are not yet in effect.
 pub struct Cutter {
-    topology: Arc<Topology>,
-    follower: Follower,
+    preparer: CutPreparer,
+    strokes: OpenStrokes,
 }
 
 impl Authority {
     /// The uncut tissue and its cutter.
     pub fn new(model: Arc<Model>) -> (Self, Cutter) {
-        let topology = Arc::new(Topology::new(model));
-        let shape = Shape::rest(&topology);
-        let solver = Solver::new(&topology);
+        let tissue = Tissue::new(model);
         let cutter = Cutter {
-            topology: Arc::clone(&topology),
-            follower: solver.follower(),
+            preparer: tissue.preparer(),
+            strokes: OpenStrokes::default(),
         };
         let authority = Self {
-            topology,
-            shape,
-            solver,
+            tissue,
             view_time: ServerTime::ZERO,
             prepared: VecDeque::new(),
             due: VecDeque::new(),
@@ -192,9 +230,7 @@ impl Authority {
         self.take_effect(order.view_time);
         let mut budget = Budget::new(ITERATIONS_MAX, TOLERANCE);
         budget.stop = Some(stop);
-        let report = self
-            .solver
-            .step(&self.topology, &mut self.shape, &order.tools, budget);
+        let report = self.tissue.step(&order.tools, budget);
         let tick = TickReport {
             view_time: order.view_time,
             tools: order.tools.len(),
@@ -212,13 +248,14 @@ impl Authority {
         }
     }
 
+    /// The tissue at the newest tick.
+    pub fn tissue(&self) -> &Tissue {
+        &self.tissue
+    }
+
     /// Maps the stroke of a request to the rest frame.
     pub fn job(&self, order: &CutOrder) -> CutJob {
-        CutJob {
-            author: order.author,
-            request: order.request,
-            stroke: convert::stroke_at_rest(&order.cut, &self.topology, &self.shape),
-        }
+        CutJob::new(order, self.tissue.topology(), self.tissue.shape())
     }
 
     /// Stores a prepared cut until [`apply`](Self::apply).
@@ -235,24 +272,21 @@ impl Authority {
         while let Some(&(version, at)) = self.due.front()
             && at <= view_time
             && let Some(cut) = self.prepared.front()
-            && cut.topology.version() == version
+            && cut.topology().version() == version
         {
             self.due.pop_front();
             if let Some(cut) = self.prepared.pop_front() {
-                self.solver.prolongate_all(&mut self.shape);
-                self.topology = cut.topology;
-                self.shape.follow(&self.topology, &cut.outcome);
-                self.solver.succeed(&self.topology, cut.successor);
+                self.tissue.succeed(cut);
             }
         }
     }
 
     /// The surface of the newest tick, if a picture is due.
     fn picture(&mut self, due: ServerTime) -> Option<Arc<Picture>> {
-        let topology = &self.topology;
+        let topology = self.tissue.topology();
         let nodes = self.pictures.poll(topology, due)?;
         let of = |n: &u32| {
-            let d = self.shape.displacement[*n as usize];
+            let d = self.tissue.shape().displacement[*n as usize];
             [d.x as f32, d.y as f32, d.z as f32]
         };
         Some(Arc::new(Picture {
@@ -265,9 +299,10 @@ impl Authority {
 
     /// Displacements for comparison by clients: an even selection of the displaced nodes.
     fn corrections(&self) -> Option<Corrections> {
-        let moved: Vec<u32> = (0..self.shape.displacement.len() as u32)
+        let displacement = &self.tissue.shape().displacement;
+        let moved: Vec<u32> = (0..displacement.len() as u32)
             .filter(|&n| {
-                let by = self.shape.displacement[n as usize] - self.solver.sag_of(n);
+                let by = displacement[n as usize] - self.tissue.sag_of(n);
                 by.norm() > DISPLACED_M
             })
             .collect();
@@ -276,12 +311,12 @@ impl Authority {
             .into_iter()
             .step_by(step)
             .map(|n| {
-                let d = self.shape.displacement[n as usize];
+                let d = displacement[n as usize];
                 (n, [d.x as f32, d.y as f32, d.z as f32])
             })
             .collect();
         (!nodes.is_empty()).then(|| Corrections {
-            topology_version: self.topology.version(),
+            topology_version: self.tissue.topology().version(),
             view_time: self.view_time,
             nodes,
         })
@@ -297,41 +332,80 @@ impl Cutter {
             result,
             took: Span::ZERO,
         };
-        let topology = Arc::make_mut(&mut self.topology);
-        let outcome = match cut(topology, &convert::stroke_to_tissue(&job.stroke)) {
-            Ok(outcome) => outcome,
-            Err(CutError::NothingNew) => return (report(Err(RequestRefusal::NothingCut)), None),
-            Err(other) => {
-                let refusal = RequestRefusal::CanNotCut(other.to_string());
-                return (report(Err(refusal)), None);
-            }
-        };
-        self.follower.follow(&self.topology, &outcome.touched);
-        let prepared = PreparedCut {
-            topology: Arc::clone(&self.topology),
-            successor: self.follower.successor(&self.topology),
-            outcome,
+        let (change, prepared) = match self.prepare(job) {
+            Ok(made) => made,
+            Err(refusal) => return (report(Err(refusal)), None),
         };
         let logged = LoggedCut {
-            stroke: job.stroke.clone(),
-            version: self.topology.version(),
+            change,
+            version: self.preparer.topology().version(),
             hash: self.hash(),
+            blade_at: match &job.change {
+                ChangeAtRest::Cut(part) => Some(part.times[1]),
+                _ => None,
+            },
         };
         (report(Ok(logged)), Some(prepared))
     }
 
+    fn prepare(&mut self, job: &CutJob) -> Result<(OperationKind, PreparedCut), RequestRefusal> {
+        let preparer = &mut self.preparer;
+        let (change, result) = match &job.change {
+            ChangeAtRest::Cut(part) => return self.extend(job.author, part),
+            ChangeAtRest::Redo => (
+                OperationKind::Redone,
+                preparer.redo().ok_or(RequestRefusal::NothingToRedo)?,
+            ),
+            ChangeAtRest::Undo => (
+                OperationKind::Undone,
+                Ok(preparer.undo().ok_or(RequestRefusal::NothingToUndo)?),
+            ),
+            ChangeAtRest::Reset => (
+                OperationKind::Reset,
+                Ok(preparer.reset().ok_or(RequestRefusal::NothingToUndo)?),
+            ),
+        };
+        self.strokes.clear();
+        Ok((change, result.map_err(refusal)?))
+    }
+
+    /// Cuts what the blade of an author has swept since the last cut of its stroke.
+    fn extend(
+        &mut self,
+        author: ParticipantId,
+        part: &RestPart,
+    ) -> Result<(OperationKind, PreparedCut), RequestRefusal> {
+        let cut = self.strokes.extend(author, part);
+        let made = match &cut {
+            Some(cut) => self.preparer.prepare(convert::part_to_tissue(author, cut)),
+            None => Err(CutError::NothingNew),
+        };
+        self.strokes.note(author, part, made.is_ok());
+        match (cut, made) {
+            (Some(cut), Ok(prepared)) => Ok((OperationKind::Cut(cut), prepared)),
+            (_, made) => Err(made.err().map_or(RequestRefusal::NothingCut, refusal)),
+        }
+    }
+
     /// Hash of the newest topology.
     pub fn hash(&self) -> TopologyHash {
-        TopologyHash(self.topology.hash().0)
+        TopologyHash(self.preparer.topology().hash().0)
     }
 
     /// Connected components of the cells. Visits the whole model.
     pub fn components(&self) -> usize {
-        self.topology.components()
+        self.preparer.topology().components()
     }
 
     /// Whether every edge of the boundary belongs to exactly two triangles. Visits the whole surface.
     pub fn boundary_closed(&self) -> bool {
-        self.topology.boundary().is_closed()
+        self.preparer.topology().boundary().is_closed()
+    }
+}
+
+fn refusal(error: CutError) -> RequestRefusal {
+    match error {
+        CutError::NothingNew => RequestRefusal::NothingCut,
+        error => RequestRefusal::CanNotCut(error.to_string()),
     }
 }

@@ -30,6 +30,8 @@ pub struct RoomConfig {
     /// Returns the resume token of a participant. The server draws a random token; an experiment derives it from
     /// the id, so that a seed reproduces the session.
     pub fresh_token: fn(ParticipantId) -> ResumeToken,
+    /// Returns the grant of an invitation by its number. The server draws a random grant, which can not be guessed.
+    pub fresh_grant: fn(u32) -> Grant,
     /// Start scripts once this many tools have joined; 0: at once.
     pub start_when_tools: u16,
 }

@@ -1,25 +1,30 @@
 //! Conversion between wire types and tissue types.
 
+use palpate_protocol::ParticipantId;
 use palpate_protocol::operation::{BladePoint, CutStroke};
 use palpate_protocol::request::CutRequest;
-use palpate_tissue::{Shape, Topology, Vec3};
+use palpate_tissue::{Shape, StrokePart, Topology, Vec3};
 
-/// Converts a stroke in the rest frame to the tissue's type.
-pub(crate) fn stroke_to_tissue(stroke: &CutStroke) -> palpate_tissue::CutStroke {
-    palpate_tissue::CutStroke {
-        points: stroke.points.iter().map(point_to_tissue).collect(),
-        width_m: stroke.width_m,
+/// Converts a part of an author's stroke to the tissue's type.
+pub(crate) fn part_to_tissue(author: ParticipantId, part: &CutStroke) -> StrokePart {
+    StrokePart {
+        path: palpate_tissue::CutStroke {
+            points: part.points.iter().map(point_to_tissue).collect(),
+            width_m: part.width_m,
+        },
+        stroke: Some(part.number(author)),
+        joins: part.joins,
     }
 }
 
-/// Maps a stroke from the deformed to the rest frame by the inverse deformation. Points outside the tissue stay
+/// Maps the path of a stroke from the deformed to the rest frame by the inverse deformation. Points outside the tissue stay
 /// unchanged.
-pub(crate) fn stroke_at_rest(
+pub(crate) fn path_at_rest(
     request: &CutRequest,
     topology: &Topology,
     shape: &Shape,
-) -> CutStroke {
-    let points = request
+) -> Vec<BladePoint> {
+    request
         .points
         .iter()
         .map(
@@ -32,11 +37,7 @@ pub(crate) fn stroke_at_rest(
                 None => p.blade,
             },
         )
-        .collect();
-    CutStroke {
-        points,
-        width_m: request.width_m,
-    }
+        .collect()
 }
 
 fn point_to_tissue(p: &BladePoint) -> palpate_tissue::BladePoint {

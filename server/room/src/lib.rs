@@ -8,29 +8,35 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod admission;
 mod authority;
 mod config;
+mod control_state;
 mod convert;
 mod cut_budget;
 mod cut_queue;
 mod fan_out;
+mod invitations;
 mod joins;
 mod limits;
 mod log;
+mod open_strokes;
 mod participant;
 mod pictures;
 mod request_history;
 mod room;
+mod shown_motion;
 mod simulated;
 #[cfg(test)]
 mod tests;
 mod track;
 
 pub use authority::{
-    Authority, CutJob, CutOrder, Cutter, LoggedCut, PreparedCut, Settling, TickReport, TissueOrder,
-    TissueReport,
+    Authority, CutJob, CutOrder, Cutter, LoggedCut, RequestedChange, Settling, TickReport,
+    TissueOrder, TissueReport,
 };
 pub use config::{RoomConfig, SEATS_MAX};
+pub use invitations::Invitation;
 pub use limits::{Limit, LimitCounters};
-pub use room::{Output, PeerKey, Room};
+pub use room::{Output, PeerKey, Room, SeatFigures, ToolShown};
 pub use simulated::SimulatedRoom;

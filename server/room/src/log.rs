@@ -7,13 +7,19 @@
 //! cuts                               7,000 operations and 28 MiB, shared between the authors
 //! changes of the playout delay       8,000 operations
 //! participants                       compacted: bounded by the rates of joins and resumptions
+//! undos, redos and resets            900 operations
+//! controls of the session            compacted: bounded by their rate and the number of annotations; 1,000 operations
 //! ```
 //!
 //! **Compaction.** A newcomer knows the present participants from its welcome and needs no operation about one who has
 //! left. A resuming client may miss operations of the last minute, because its seat is kept that long. Operations about
 //! participants are therefore dropped once they are [`KEPT`] old and superseded: all about a participant who has left, a
-//! reconnect with its loss, a restored tool with its demotion, an earlier tool. Numbers of operations stay; a gap
-//! stands for dropped operations.
+//! reconnect with its loss, a restored tool with its demotion. Numbers of operations stay; a gap stands for dropped
+//! operations.
+//!
+//! An operation that gives a new value to one property (a tool, a mute, the camera) is dropped as soon as a later one
+//! gives it another: a client that misses the earlier one receives the later one. A value equal to that of the beginning is
+//! dropped once it is [`KEPT`] old, and so is an invitation that has expired.
 //!
 //! **Shares.** A cut is accepted if its author has used less space than remains. One author can therefore use at most
 //! half, and every other present participant still cuts. An author who joins again inherits what those who left have
@@ -42,8 +48,16 @@ const CUT_MIN_BYTES: u64 = CUTS_MAX_BYTES.div_ceil(CUTS_MAX);
 
 /// Limit for operations about participants. Joins (three classes of 64 and 10 per second, three operations each) and
 /// resumptions (64 seats with 8 and 0.2 per second, three operations each) of [`KEPT`] stay below it. With cuts and
-/// changes of the delay it is 25,000; the transport lets 27,000 wait for a peer.
+/// changes of the delay it is 25,000, with [`CONTROLS_MAX`] and [`RETURNS_MAX`] 26,900; the transport lets 28,900
+/// wait for a peer.
 const PARTICIPANTS_MAX: usize = 10_000;
+
+/// Limit for controls of the session. Within [`KEPT`] their rate adds 480 removed annotations or invitations; 64
+/// annotations, 64 invitations, as many of their uses and four further values remain.
+const CONTROLS_MAX: usize = 1_000;
+
+/// Limit for undos, redos and resets. They are kept like cuts, because later operations depend on them.
+const RETURNS_MAX: usize = 900;
 
 /// Age from which superseded operations are dropped: a seat is kept for 60 s, and a lost connection is noticed within
 /// 2 s on both sides.
@@ -62,6 +76,8 @@ pub(crate) struct Log {
     complete_from: OperationId,
     delays: usize,
     about_participants: usize,
+    controls: usize,
+    returns: usize,
     /// Space used by cuts, bytes.
     cuts_bytes: u64,
     next_compaction: ServerTime,
@@ -81,8 +97,16 @@ impl Log {
                 self.delays += 1;
                 0
             }
-            _ => {
+            OperationKind::Reset | OperationKind::Undone | OperationKind::Redone => {
+                self.returns += 1;
+                0
+            }
+            kind if about(kind).is_some() => {
                 self.about_participants += 1;
+                0
+            }
+            _ => {
+                self.controls += 1;
                 0
             }
         };
@@ -100,6 +124,11 @@ impl Log {
     /// The number from which on every operation is kept. A client that lacks earlier ones replays the whole log.
     pub(crate) fn complete_from(&self) -> OperationId {
         self.complete_from
+    }
+
+    /// When the newest kept operation takes effect.
+    pub(crate) fn newest_at(&self) -> Option<ServerTime> {
+        self.operations.last().map(|o| o.at)
     }
 
     /// Operations that are kept.
@@ -145,36 +174,118 @@ impl Log {
         self.about_participants < PARTICIPANTS_MAX
     }
 
-    /// Drops operations about participants that no longer matter, once per [`COMPACTION_PERIOD`].
+    /// Whether a control fits.
+    pub(crate) fn takes_control(&self) -> bool {
+        self.controls < CONTROLS_MAX
+    }
+
+    /// Whether an undo, a redo or a reset fits.
+    pub(crate) fn takes_return(&self) -> bool {
+        self.returns < RETURNS_MAX
+    }
+
+    /// The freeze that has not ended.
+    fn freeze_in_force(&self) -> Option<OperationId> {
+        let newest = self.operations.iter().rev().find_map(|o| match o.kind {
+            OperationKind::Frozen { is_frozen, .. } => Some((o.id, is_frozen)),
+            _ => None,
+        });
+        newest.filter(|(_, is_frozen)| *is_frozen).map(|(id, _)| id)
+    }
+
+    /// Drops operations that no longer matter, once per [`COMPACTION_PERIOD`].
     pub(crate) fn compact(&mut self, now: ServerTime) {
         if now < self.next_compaction {
             return;
         }
         self.next_compaction = now + COMPACTION_PERIOD;
-        let mut superseding = Superseding::default();
-        let mut keeps: Vec<bool> = self
+        let mut superseding = Superseding {
+            frozen_by: self.freeze_in_force(),
+            ..Superseding::default()
+        };
+        let mut fates: Vec<Fate> = self
             .operations
             .iter()
             .rev()
-            .map(|o| superseding.keeps(o, now))
+            .map(|o| superseding.fate(o, now))
             .collect();
-        keeps.reverse();
-        let mut keeps = keeps.into_iter();
-        let before = self.operations.len();
-        let mut complete_from = self.complete_from;
+        fates.reverse();
+        let mut fates = fates.into_iter();
         self.operations.retain(|o| {
-            let is_kept = keeps.next().unwrap_or(true);
-            if !is_kept {
-                complete_from = complete_from.max(o.id.next());
+            let fate = fates.next().unwrap_or(Fate::Kept);
+            if fate == Fate::Kept {
+                return true;
             }
-            is_kept
+            if fate == Fate::Dropped {
+                self.complete_from = self.complete_from.max(o.id.next());
+            }
+            if about(&o.kind).is_some() {
+                self.about_participants -= 1;
+            } else {
+                self.controls -= 1;
+            }
+            false
         });
-        self.complete_from = complete_from;
-        self.about_participants -= before - self.operations.len();
     }
 }
 
-/// Later operations that supersede earlier ones about the same participant, while the log is read backwards.
+/// Decision of the compaction about an operation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Fate {
+    /// It still matters.
+    Kept,
+    /// A later operation contains its effect.
+    Replaced,
+    /// It no longer matters, but a client that lacks the operations around it needs the whole log.
+    Dropped,
+}
+
+/// A property of the session that has its newest value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Property {
+    Tool(ParticipantId),
+    Mute(ParticipantId),
+    ForceLimit(ParticipantId),
+    Emulation(ParticipantId),
+    Freeze,
+    Access,
+    CompensationMode,
+    Camera,
+    Annotation(u32),
+    Invitation(u32),
+}
+
+/// The property that an operation sets, and whether it sets the value of the beginning.
+fn sets(kind: &OperationKind) -> Option<(Property, bool)> {
+    Some(match kind {
+        OperationKind::ToolChanged { participant, .. } => (Property::Tool(*participant), false),
+        OperationKind::Muted {
+            participant,
+            is_muted,
+        } => (Property::Mute(*participant), !is_muted),
+        OperationKind::ForceLimit {
+            participant,
+            newtons,
+        } => (Property::ForceLimit(*participant), newtons.is_none()),
+        OperationKind::Emulated {
+            participant,
+            emulation,
+        } => (Property::Emulation(*participant), emulation.is_none()),
+        OperationKind::Frozen { is_frozen, .. } => (Property::Freeze, !is_frozen),
+        OperationKind::Access { .. } => (Property::Access, false),
+        OperationKind::CompensationMode { .. } => (Property::CompensationMode, false),
+        OperationKind::CameraShown(_) => (Property::Camera, false),
+        OperationKind::Annotated(annotation) => (Property::Annotation(annotation.id), false),
+        OperationKind::AnnotationRemoved { id } => (Property::Annotation(*id), true),
+        OperationKind::Invited { id, .. } => (Property::Invitation(*id), false),
+        OperationKind::InvitationUsed { id } | OperationKind::InvitationRevoked { id } => {
+            (Property::Invitation(*id), true)
+        }
+        _ => return None,
+    })
+}
+
+/// Later operations that supersede earlier ones, while the log is read backwards.
 #[derive(Debug, Default)]
 struct Superseding {
     /// Participants who left more than [`KEPT`] ago.
@@ -182,14 +293,45 @@ struct Superseding {
     /// Participants who reconnected more than [`KEPT`] ago.
     reconnected: BTreeSet<ParticipantId>,
     restored: BTreeSet<ParticipantId>,
-    changed: BTreeSet<ParticipantId>,
+    /// Properties with a later value.
+    set: BTreeSet<Property>,
+    /// The freeze in force.
+    frozen_by: Option<OperationId>,
 }
 
 impl Superseding {
-    fn keeps(&mut self, operation: &Operation, now: ServerTime) -> bool {
+    fn fate(&mut self, operation: &Operation, now: ServerTime) -> Fate {
+        let fate = self.fate_of_value(operation, now);
+        let has_left = about(&operation.kind).is_some_and(|who| self.left.contains(&who));
+        // A tool that was inactive during a freeze is no longer held, although it is active again.
+        let ends_hold = !has_left
+            && self.frozen_by.is_some_and(|freeze| operation.id > freeze)
+            && matches!(
+                operation.kind,
+                OperationKind::Muted { .. }
+                    | OperationKind::Disconnected { .. }
+                    | OperationKind::Reconnected { .. }
+                    | OperationKind::Demoted { .. }
+                    | OperationKind::Restored { .. }
+            );
+        if ends_hold { Fate::Kept } else { fate }
+    }
+
+    /// Whether later operations contain the effect of an operation.
+    fn fate_of_value(&mut self, operation: &Operation, now: ServerTime) -> Fate {
         let is_old = now - operation.at >= KEPT;
+        if let Some((property, is_initial)) = sets(&operation.kind) {
+            if !self.set.insert(property) {
+                return Fate::Replaced;
+            }
+            // Clients drop an expired invitation on their own.
+            let is_expired = matches!(&operation.kind, OperationKind::Invited { expires_at, .. } if now >= *expires_at);
+            if is_old && (is_initial || is_expired) {
+                return Fate::Dropped;
+            }
+        }
         let Some(who) = about(&operation.kind).filter(|_| is_old) else {
-            return true;
+            return Fate::Kept;
         };
         if matches!(operation.kind, OperationKind::Left { .. }) {
             self.left.insert(who);
@@ -205,11 +347,13 @@ impl Superseding {
                 true
             }
             OperationKind::Demoted { .. } => self.restored.contains(&who),
-            // The first later change seen is the newest.
-            OperationKind::ToolChanged { .. } => !self.changed.insert(who),
             _ => false,
         };
-        !is_superseded && !self.left.contains(&who)
+        if is_superseded || self.left.contains(&who) {
+            Fate::Dropped
+        } else {
+            Fate::Kept
+        }
     }
 }
 
@@ -222,19 +366,39 @@ fn about(kind: &OperationKind) -> Option<ParticipantId> {
         | OperationKind::Reconnected { participant }
         | OperationKind::ToolChanged { participant, .. }
         | OperationKind::Demoted { participant, .. }
-        | OperationKind::Restored { participant } => Some(*participant),
+        | OperationKind::Restored { participant }
+        | OperationKind::Muted { participant, .. }
+        | OperationKind::ForceLimit { participant, .. }
+        | OperationKind::Emulated { participant, .. } => Some(*participant),
         OperationKind::Cut(_)
         | OperationKind::Started { .. }
-        | OperationKind::Compensation { .. } => None,
+        | OperationKind::Compensation { .. }
+        | OperationKind::Frozen { .. }
+        | OperationKind::Reset
+        | OperationKind::Undone
+        | OperationKind::Redone
+        | OperationKind::Access { .. }
+        | OperationKind::CompensationMode { .. }
+        | OperationKind::Annotated(_)
+        | OperationKind::AnnotationRemoved { .. }
+        | OperationKind::CameraShown(_)
+        | OperationKind::Invited { .. }
+        | OperationKind::InvitationUsed { .. }
+        | OperationKind::InvitationRevoked { .. } => None,
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use palpate_protocol::operation::{BladePoint, CutStroke, LeaveReason, STROKE_MAX_POINTS};
+    use palpate_protocol::control::{ANNOTATION_MAX_BYTES, Annotation};
+    use palpate_protocol::examples::annotation;
+    use palpate_protocol::handshake::ROSTER_MAX;
+    use palpate_protocol::operation::{
+        BladePoint, CutStroke, HeldTool, LeaveReason, STROKE_MAX_POINTS,
+    };
     use palpate_protocol::session::STREAM_BACKLOG_MAX_BYTES;
     use palpate_protocol::tool::ToolDescription;
-    use palpate_protocol::{Role, TopologyHash};
+    use palpate_protocol::{Pose, Role, TopologyHash};
     use proptest::prelude::*;
 
     use super::*;
@@ -262,6 +426,8 @@ mod tests {
             depth_m: 0.03,
         };
         OperationKind::Cut(CutStroke {
+            began: ServerTime::ZERO,
+            joins: false,
             points: vec![blade; points],
             width_m: 0.001,
         })
@@ -305,7 +471,30 @@ mod tests {
             while log.takes_seat() {
                 add(&mut log, 0, joined(u16::MAX));
             }
-            assert!(log.len() <= 25_000, "{}", log.len());
+            // One burst of freezes with all tools, the rest annotations.
+            let held = HeldTool {
+                participant: ParticipantId(u16::MAX),
+                pose: Pose::IDENTITY,
+                buttons: 0,
+            };
+            let frozen = OperationKind::Frozen {
+                is_frozen: true,
+                held: vec![held; ROSTER_MAX],
+            };
+            for _ in 0..128 {
+                add(&mut log, 0, frozen.clone());
+            }
+            let annotation = Annotation {
+                text: "x".repeat(ANNOTATION_MAX_BYTES),
+                ..annotation()
+            };
+            while log.takes_control() {
+                add(&mut log, 0, OperationKind::Annotated(annotation.clone()));
+            }
+            while log.takes_return() {
+                add(&mut log, 0, OperationKind::Undone);
+            }
+            assert!(log.len() <= 26_900, "{}", log.len());
             assert!(bytes(&log) + FRAME_MAX_BYTES < STREAM_BACKLOG_MAX_BYTES);
         }
     }

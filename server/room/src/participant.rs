@@ -5,15 +5,18 @@ use palpate_protocol::compensation::{DelayEstimator, Demotion};
 use palpate_protocol::handshake::{Hello, RosterEntry, SEAT_RETENTION, Subscription};
 use palpate_protocol::name::Appearance;
 use palpate_protocol::request::DelayReport;
-use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::{ToolDescription, ToolKind, ToolPart, part_id};
-use palpate_protocol::{ParticipantId, ResumeToken, Role, ServerTime, Span, TokenBucket};
+use palpate_protocol::{
+    Emulation, ParticipantId, ResumeToken, Role, ServerTime, Span, TokenBucket,
+};
 use palpate_tissue::{Form, Tool, Vec3};
 
 use crate::PeerKey;
+use crate::admission::Admission;
 use crate::cut_budget::CutBudget;
 use crate::joins;
 use crate::request_history::RequestHistory;
+use crate::shown_motion::{ShownMotion, ShownPose};
 use crate::track::Track;
 
 /// Bit of the primary button in a sample.
@@ -35,6 +38,10 @@ pub(crate) enum Presence {
 /// margin of bursts (5 ms).
 const UNEXPLAINED_MAX: Span = Span::from_millis(25);
 
+/// Changes of one tool at once, and per second in the long run. Compaction drops all but the latest.
+const TOOL_CHANGES_BURST: f64 = 8.0;
+const TOOL_CHANGES_PER_S: f64 = 1.0;
+
 /// A measured path with [`UNEXPLAINED_MAX`], µs.
 fn limit_us(path: Span) -> u32 {
     let us = (path + UNEXPLAINED_MAX).as_micros();
@@ -47,6 +54,8 @@ pub(crate) struct Participant {
     pub(crate) presence: Presence,
     /// Token that resumes the seat.
     pub(crate) token: ResumeToken,
+    /// The right by which it joined.
+    pub(crate) admission: Admission,
     /// Budget of resumptions.
     pub(crate) resumptions: TokenBucket,
     /// The first motion of its tool.
@@ -58,12 +67,14 @@ pub(crate) struct Participant {
     pub(crate) tool: Option<ToolDescription>,
     /// Full or thin subscription to the tissue.
     pub(crate) subscription: Subscription,
-    /// Samples of the tool, for the authoritative shape.
-    pub(crate) timeline: Timeline,
+    /// Motion of the tool, for the authoritative shape.
+    pub(crate) motion: ShownMotion,
     /// Where the tool was, for the check of strokes.
     pub(crate) track: Track,
     /// Its share of the work of cutting.
     pub(crate) cuts: CutBudget,
+    /// Number of its latest stroke.
+    pub(crate) latest_stroke: Option<u64>,
     /// Requests of the seat, for the detection of repetitions.
     pub(crate) requests: RequestHistory,
     /// Age of its samples on arrival at the server.
@@ -80,8 +91,18 @@ pub(crate) struct Participant {
     /// clients deactivate the tool in the same view.
     active_from: ServerTime,
     inactive_from: Option<ServerTime>,
-    /// End and samples of the previous pressing interval, which views still show for D.
-    previous: Option<(ServerTime, Timeline)>,
+    /// End and motion of the previous pressing interval, which views still show for D.
+    previous: Option<(ServerTime, ShownMotion)>,
+    /// End of the time of the previous tool, and that tool, which views still show for D.
+    previous_tool: Option<(ServerTime, ToolDescription)>,
+    /// Whether the instructor has made the tool inactive.
+    pub(crate) is_muted: bool,
+    /// The instructor's limit of the force, N.
+    pub(crate) force_limit: Option<f64>,
+    /// The network that the instructor emulates for it, over all its connections.
+    pub(crate) emulation: Emulation,
+    /// Budget of changes of the tool.
+    tool_changes: TokenBucket,
 }
 
 impl Participant {
@@ -98,6 +119,7 @@ impl Participant {
         Self {
             presence: Presence::Connected(peer),
             token,
+            admission: Admission::new(hello.grant),
             resumptions: joins::resumptions(now),
             moved_since: None,
             id,
@@ -106,9 +128,10 @@ impl Participant {
             role: hello.role,
             tool: hello.tool.filter(|_| hello.role.has_tool()),
             subscription: hello.subscription,
-            timeline: Timeline::default(),
+            motion: ShownMotion::default(),
             track: Track::default(),
             cuts,
+            latest_stroke: None,
             requests: RequestHistory::default(),
             delay: DelayEstimator::default(),
             round_trip: None,
@@ -118,7 +141,26 @@ impl Participant {
             active_from: ServerTime::ZERO,
             inactive_from: None,
             previous: None,
+            previous_tool: None,
+            is_muted: false,
+            force_limit: None,
+            emulation: Emulation::NONE,
+            tool_changes: TokenBucket::new(
+                TOOL_CHANGES_PER_S,
+                TOOL_CHANGES_BURST,
+                now - ServerTime::ZERO,
+            ),
         }
+    }
+
+    /// Takes another tool from a time on, if the budget of changes permits it. Returns whether it does.
+    pub(crate) fn change_tool(&mut self, tool: ToolDescription, at: ServerTime) -> bool {
+        if !self.tool_changes.take(1.0, at - ServerTime::ZERO) {
+            return false;
+        }
+        self.previous_tool = self.tool.map(|before| (at, before));
+        self.tool = Some(tool);
+        true
     }
 
     /// Notes motion of the tool that arrives now.
@@ -162,29 +204,65 @@ impl Participant {
         report: DelayReport,
         longest_uplink: Span,
     ) -> Option<DelayReport> {
-        self.delay.report()?;
-        let most = limit_us(longest_uplink + self.round_trip?);
+        let most = self.path_max_us(longest_uplink)?;
         Some(DelayReport {
             wanted_us: report.wanted_us.min(most),
             ..report
         })
     }
 
+    /// The longest way from another participant with this uplink, µs; `None` for a participant whose own samples are not
+    /// measured.
+    pub(crate) fn path_max_us(&self, longest_uplink: Span) -> Option<u32> {
+        self.delay.report()?;
+        Some(limit_us(longest_uplink + self.round_trip?))
+    }
+
     /// Deactivates the tool from a time on. An inactive tool stays inactive.
     pub(crate) fn deactivate(&mut self, at: ServerTime) {
         if self.inactive_from.is_none() {
             self.inactive_from = Some(at);
-            self.previous = Some((at, std::mem::take(&mut self.timeline)));
+            self.previous = Some((at, self.next_motion()));
         }
     }
 
-    /// Lets the tool press again from a time on.
-    pub(crate) fn activate(&mut self, at: ServerTime) {
-        (self.inactive_from, self.active_from) = (None, at);
-        self.timeline = Timeline::default();
+    /// Begins an interval of motion. Returns the one that ends.
+    fn next_motion(&mut self) -> ShownMotion {
+        let next = ShownMotion::new(self.motion.frozen_from());
+        std::mem::replace(&mut self.motion, next)
     }
 
-    /// Whether the tool is inactive, because its owner is demoted or disconnected.
+    /// Lets the tool press again from a time on, unless another reason keeps it inactive.
+    pub(crate) fn activate(&mut self, at: ServerTime) {
+        let is_active = self.inactive_from.is_none();
+        if is_active || self.peer().is_none() || self.demotion.is_demoted() || self.is_muted {
+            return;
+        }
+        (self.inactive_from, self.active_from) = (None, at);
+        self.next_motion();
+    }
+
+    /// Begins in a session that has been frozen since a time, without a held pose.
+    pub(crate) fn begin_frozen(&mut self, since: Option<ServerTime>) {
+        self.motion = ShownMotion::new(since);
+    }
+
+    /// Holds the pose of the tool from a time on. Returns the pose, unless the tool is inactive or silent.
+    pub(crate) fn freeze(&mut self, at: ServerTime) -> Option<ShownPose> {
+        let pose = self.motion.hold(at);
+        pose.filter(|_| self.tool.is_some())
+    }
+
+    /// Lets the tool move again from a time on.
+    pub(crate) fn release(&mut self, at: ServerTime) {
+        let held = std::mem::take(&mut self.motion);
+        if self.inactive_from.is_none() {
+            self.previous = Some((at, held));
+            self.active_from = at;
+        }
+    }
+
+    /// Whether the tool is inactive, because its owner is demoted, muted or disconnected.
     pub(crate) fn is_inactive(&self) -> bool {
         self.inactive_from.is_some()
     }
@@ -228,17 +306,23 @@ impl Participant {
         }
     }
 
+    /// The active tool at time t with its pose; `None` if there is none or it has no recent sample.
+    pub(crate) fn shown_at(&mut self, t: ServerTime) -> Option<(ToolDescription, ShownPose)> {
+        self.previous.take_if(|(until, _)| t >= *until);
+        self.previous_tool.take_if(|(until, _)| t >= *until);
+        let shown = match &mut self.previous {
+            Some((_, motion)) => motion.at(t),
+            None if self.inactive_from.is_some() || t < self.active_from => None,
+            None => self.motion.at(t),
+        };
+        let tool = self.previous_tool.map(|(_, tool)| tool).or(self.tool);
+        tool.zip(shown)
+    }
+
     /// The parts of the tool that press at time t. Empty if there is no tool, no sample, only stale samples, a cutting
     /// blade, or an inactive tool.
     pub(crate) fn pressing_at(&mut self, t: ServerTime) -> Vec<Tool> {
-        self.previous.take_if(|(until, _)| t >= *until);
-        let shown = match &mut self.previous {
-            Some((_, timeline)) => timeline.at(t),
-            None if self.inactive_from.is_some() || t < self.active_from => None,
-            None => self.timeline.at(t),
-        };
-        let known = self.tool.zip(shown);
-        let Some((description, shown)) = known.filter(|(_, shown)| !shown.stale) else {
+        let Some((description, shown)) = self.shown_at(t) else {
             return Vec::new();
         };
         let held = shown.buttons & PRIMARY_BUTTON != 0;

@@ -1,8 +1,13 @@
 //! The state machine of a session.
 
+mod controls;
 mod cuts;
 mod demotion;
+mod inviting;
 mod seats;
+mod shown;
+
+pub use shown::{SeatFigures, ToolShown};
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -21,6 +26,7 @@ use palpate_tissue::Tool;
 
 use crate::authority::{Settling, TissueOrder, TissueReport};
 use crate::config::RoomConfig;
+use crate::control_state::ControlState;
 use crate::cut_queue::CutQueue;
 use crate::fan_out::FanOut;
 use crate::joins::Joins;
@@ -92,6 +98,7 @@ pub struct Room {
     departed_log: u64,
     joins: Joins,
     delay_changes: TokenBucket,
+    controls: ControlState,
     limits: LimitCounters,
     orders: VecDeque<TissueOrder>,
     outputs: VecDeque<Output>,
@@ -130,6 +137,7 @@ impl Room {
                 DELAY_CHANGES_BURST,
                 now - ServerTime::ZERO,
             ),
+            controls: ControlState::new(now),
             limits: LimitCounters::default(),
             orders: VecDeque::new(),
             outputs: VecDeque::new(),
@@ -160,7 +168,7 @@ impl Room {
         let tools = self
             .participants
             .values()
-            .filter(|p| p.tool.is_some() && p.timeline.newest().is_some())
+            .filter(|p| p.tool.is_some() && p.motion.newest().is_some())
             .count();
         if tools >= usize::from(self.config.start_when_tools) {
             let at = now + START_LEAD;
@@ -189,6 +197,8 @@ impl Room {
             RequestKind::TopologyReport { version, hash } => self.check_topology(version, hash),
             // The session machine turns a leave into a close.
             RequestKind::Leave => Ok(()),
+            RequestKind::SetTool(tool) => self.set_tool(who, tool, now),
+            RequestKind::Control(control) => self.control(who, request.id, control, now),
         };
         if let Err(reason) = result {
             self.note_refusal(who, request.id, reason);
@@ -264,12 +274,14 @@ impl Room {
             }
             is_reached
         });
-        // Samples of a demoted participant are only measured, for its restoration.
-        if participant.demotion.is_demoted() || motion.samples.is_empty() {
+        // Samples of an inactive tool, and those after the begin of a freeze, are only measured.
+        let shown = &mut participant.motion;
+        motion.samples.retain(|sample| shown.shows(sample.time));
+        if participant.is_inactive() || motion.samples.is_empty() {
             return;
         }
         for sample in &motion.samples {
-            participant.timeline.insert(*sample);
+            participant.motion.insert(*sample);
         }
         self.start_if_due(now);
         self.fan_out.push(who, &motion, age);
@@ -461,6 +473,13 @@ impl Room {
     /// Number of ticks skipped because the tissue was busy.
     pub fn skipped_tick_count(&self) -> u64 {
         self.ticks_skipped
+    }
+
+    /// The parts of a participant's tool that press at time t.
+    #[cfg(test)]
+    pub(crate) fn pressing_at(&mut self, who: ParticipantId, t: ServerTime) -> Vec<Tool> {
+        let seat = self.participants.get_mut(&who);
+        seat.map_or_else(Vec::new, |seat| seat.pressing_at(t))
     }
 
     /// The playout delay at a time.

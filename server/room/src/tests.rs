@@ -19,8 +19,11 @@ use palpate_tissue::{Material, Model, block};
 
 use crate::{Output, PeerKey, RoomConfig, SimulatedRoom};
 
+mod controls;
 mod demotion;
 mod fairness;
+mod invitations;
+mod late_join;
 mod motion;
 mod seats;
 mod stalls;
@@ -65,6 +68,7 @@ pub(crate) fn config(seats: u16, start_when_tools: u16, mode: CompensationMode) 
             initial_delay_us: 20_000,
         },
         fresh_token: |who| ResumeToken([who.0 as u8; 16]),
+        fresh_grant: |id| Grant((u128::MAX - u128::from(id)).to_le_bytes()),
         start_when_tools,
     }
 }
@@ -128,10 +132,10 @@ fn stroke() -> RequestKind {
             depth_m: 0.03,
         },
     };
-    RequestKind::Cut(CutRequest {
-        points: (0..=STROKE_MS / 10).map(point).collect(),
-        width_m: 0.0,
-    })
+    RequestKind::Cut(CutRequest::whole(
+        (0..=STROKE_MS / 10).map(point).collect(),
+        0.0,
+    ))
 }
 
 /// The motion of [`stroke`], so much higher.

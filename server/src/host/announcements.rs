@@ -35,19 +35,7 @@ impl Names {
                 reason,
             } => {
                 let name = self.0.remove(participant)?;
-                Some(match reason {
-                    LeaveReason::Left => format!("{name} left"),
-                    LeaveReason::Silent => {
-                        format!("{name} removed: no connection for too long")
-                    }
-                    LeaveReason::Violation => {
-                        format!("{name} disconnected: protocol violation")
-                    }
-                    LeaveReason::TooSlow => {
-                        format!("{name} disconnected: connection too slow")
-                    }
-                    LeaveReason::Removed => format!("{name} disconnected by the server"),
-                })
+                Some(format!("{name} {}", left(*reason)))
             }
             OperationKind::Disconnected { participant } => {
                 self.of(*participant, "lost the connection; the seat is kept")
@@ -60,15 +48,88 @@ impl Names {
             OperationKind::Restored { participant } => {
                 self.of(*participant, "restored: tool active again")
             }
+            OperationKind::Muted {
+                participant,
+                is_muted,
+            } => self.of(
+                *participant,
+                if *is_muted { "muted" } else { "active again" },
+            ),
+            OperationKind::Frozen { is_frozen, .. } => {
+                let what = if *is_frozen { "froze" } else { "continued" };
+                self.of(operation.author, &format!("{what} the session"))
+            }
+            OperationKind::Reset => self.of(operation.author, "returned to the uncut tissue"),
+            OperationKind::Undone => self.of(operation.author, "took back the last cut"),
+            OperationKind::Redone => self.of(operation.author, "repeated the last cut"),
+            OperationKind::ForceLimit {
+                participant,
+                newtons,
+            } => {
+                let limit = newtons.map_or("of the device".to_owned(), |n| format!("{n:.1} N"));
+                self.of(*participant, &format!("has the force limit {limit}"))
+            }
+            OperationKind::Emulated {
+                participant,
+                emulation,
+            } => {
+                let what = if emulation.is_none() {
+                    "has no emulated network any more".to_owned()
+                } else {
+                    let percent = f64::from(emulation.loss_permille) / 10.0;
+                    let delay_ms = emulation.delay_ms;
+                    format!("has an emulated network: {delay_ms} ms one way, {percent} % loss")
+                };
+                self.of(*participant, &what)
+            }
+            OperationKind::Access {
+                is_locked, seats, ..
+            } => {
+                let state = if *is_locked { "locked" } else { "open" };
+                self.of(
+                    operation.author,
+                    &format!("changed access: {state}, {seats} seats"),
+                )
+            }
+            OperationKind::CompensationMode { .. } => {
+                self.of(operation.author, "changed the rule for the delay")
+            }
+            OperationKind::Invited { id, role, name, .. } => {
+                let for_name = name
+                    .as_ref()
+                    .map_or_else(String::new, |n| format!(" and the name {n}"));
+                let what = format!("created invitation {id} for the role {role}{for_name}");
+                self.of(operation.author, &what)
+            }
+            OperationKind::InvitationUsed { id } => {
+                self.of(operation.author, &format!("has used invitation {id} up"))
+            }
+            OperationKind::InvitationRevoked { id } => {
+                self.of(operation.author, &format!("revoked invitation {id}"))
+            }
             OperationKind::ToolChanged { .. }
             | OperationKind::Started { .. }
-            | OperationKind::Compensation { .. } => None,
+            | OperationKind::Compensation { .. }
+            | OperationKind::Annotated(_)
+            | OperationKind::AnnotationRemoved { .. }
+            | OperationKind::CameraShown(_) => None,
         }
     }
 
     fn of(&self, who: ParticipantId, what: &str) -> Option<String> {
         let name = self.0.get(&who)?;
         Some(format!("{name} {what}"))
+    }
+}
+
+/// How a participant left.
+fn left(reason: LeaveReason) -> &'static str {
+    match reason {
+        LeaveReason::Left => "left",
+        LeaveReason::Silent => "removed: no connection for too long",
+        LeaveReason::Violation => "disconnected: protocol violation",
+        LeaveReason::TooSlow => "disconnected: connection too slow",
+        LeaveReason::Removed => "disconnected by the server",
     }
 }
 

@@ -5,20 +5,27 @@
 //! bounded queues that never block it.
 
 mod announcements;
+mod emulated_page;
 mod identity;
+mod links;
 mod options;
+mod page_site;
+mod pages;
 mod serve;
+mod session_view;
+mod steered_tool;
 mod summary;
 mod tissue;
 mod tokens;
 
 use std::io::Write as _;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::sync::Arc;
 
-use palpate_protocol::{Epoch, Grant, JoinLink, ModelHash, ModelInfo, ResumeToken, Role};
+use palpate_protocol::{Epoch, Grant, ModelHash, ModelInfo, ResumeToken, Role};
 use palpate_room::RoomConfig;
 use palpate_transport::ModelSource;
+use palpate_view::PageAddress;
 
 pub(crate) use options::HostOptions;
 pub use options::TICK_HZ;
@@ -28,10 +35,13 @@ use tokens::SeatTokens;
 
 use crate::{ServerError, load};
 use identity::{Identity, IdentitySource};
+use links::Links;
+use page_site::PageSite;
 
 /// Hosts a session until it is interrupted or its duration is over.
 pub(crate) fn host(options: &HostOptions) -> Result<(), ServerError> {
     let compensation = options.check()?;
+    let site = PageSite::of(options)?;
     progress(&format!("preparing the model {}", options.model));
     let loaded = load::load(&options.model)?;
     let Identity { server, grants } =
@@ -59,21 +69,17 @@ pub(crate) fn host(options: &HostOptions) -> Result<(), ServerError> {
         tick_hz: options.tick_hz,
         compensation,
         fresh_token: |_| ResumeToken(rand::random()),
+        fresh_grant: |_| Grant(rand::random()),
         start_when_tools: options.start_when,
     };
     let nodes = loaded.model.nodes.len();
-    let announce = |address: SocketAddr| {
-        let link = |role: Role| {
+    let announce = |address: SocketAddr, links: &Links, page: Option<PageAddress>| {
+        let grant = |role: Role| {
             let grant = grants.iter().find(|(r, _)| *r == role).map(|(_, g)| *g);
-            JoinLink {
-                host: public_host(options, address),
-                port: address.port(),
-                role,
-                certificate: server.certificate_hash(),
-                grant: grant.unwrap_or(Grant([0; 16])),
-            }
-            .to_string()
+            grant.unwrap_or(Grant([0; 16]))
         };
+        let link = |role: Role| links.link(role, grant(role));
+        let page_of = |role: Role| page.map(|page| links.page(page, role, grant(role), None));
         summary::announce(
             options.json,
             &Listening {
@@ -85,39 +91,27 @@ pub(crate) fn host(options: &HostOptions) -> Result<(), ServerError> {
                 },
                 links: Role::ALL
                     .iter()
-                    .map(|&r| (r.word().to_owned(), link(r)))
+                    .map(|&r| (r.word().to_owned(), link(r).to_string()))
                     .collect(),
+                pages: BROWSER_ROLES
+                    .iter()
+                    .filter_map(|&r| Some((r.word().to_owned(), page_of(r)?)))
+                    .collect(),
+                is_page_self_signed: site.as_ref().is_some_and(PageSite::is_self_signed),
             },
         )
     };
     let models = (models, tokens);
-    let summary = serve::serve(options, &server, models, loaded.model, config, &announce)?;
+    let at = (&server, site.as_ref());
+    let summary = serve::serve(options, at, models, loaded.model, config, &announce)?;
     summary::finish(options.json, &summary)
 }
+
+/// The roles that a browser can take; recording takes a program.
+const BROWSER_ROLES: [Role; 3] = [Role::Instructor, Role::Trainee, Role::Spectator];
 
 /// Prints a stage of the preparation to standard error, apart from results.
 fn progress(stage: &str) {
     // A closed standard error is ignored.
     let _ = writeln!(std::io::stderr(), "{stage} ...");
-}
-
-/// Host name for join links: option `--public`, the address it listens on, or the address of the default route.
-fn public_host(options: &HostOptions, address: SocketAddr) -> String {
-    if let Some(host) = &options.public {
-        return host.clone();
-    }
-    if !address.ip().is_unspecified() {
-        return address.ip().to_string();
-    }
-    // Connecting a UDP socket only selects the interface and sends nothing. The address is reserved for documentation
-    // (RFC 5737).
-    let chosen = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))
-        .and_then(|s| {
-            s.connect((Ipv4Addr::new(192, 0, 2, 1), 9))
-                .and_then(|()| s.local_addr())
-        })
-        .map(|a| a.ip());
-    chosen
-        .unwrap_or(IpAddr::V4(Ipv4Addr::LOCALHOST))
-        .to_string()
 }

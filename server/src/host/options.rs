@@ -1,6 +1,7 @@
 //! Options of `palpate-server host`.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
 
 use clap::Args;
 use palpate_protocol::operation::{CompensationMode, CompensationSettings};
@@ -56,6 +57,16 @@ pub(crate) struct HostOptions {
     /// Start scripts of clients with `--at session` once N tools have joined
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub(super) start_when: u16,
+    /// Serve the session as a web page, for participants with a browser and for the instructor's console
+    #[arg(long, value_name = "[ADDRESS:]PORT", num_args = 0..=1, default_missing_value = palpate_view::SERVER_VIEW, value_parser = palpate_view::parse_view)]
+    pub(super) view: Option<SocketAddr>,
+    /// Serve the page by HTTPS with this certificate chain (PEM). Without it, addresses of other machines get a
+    /// self-signed certificate, and 127.0.0.1 plain HTTP
+    #[arg(long, value_name = "FILE", requires_all = ["view", "key"])]
+    pub(super) certificate: Option<PathBuf>,
+    /// The private key of --certificate (PEM)
+    #[arg(long, value_name = "FILE", requires = "certificate")]
+    pub(super) key: Option<PathBuf>,
     /// End after S seconds
     #[arg(long, value_name = "S")]
     pub(super) duration: Option<f64>,

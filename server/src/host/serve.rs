@@ -6,20 +6,25 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
+use palpate_protocol::operation::OperationKind;
 use palpate_protocol::session::PeerEvent;
 use palpate_protocol::{ServerTime, Span};
-use palpate_room::{Cutter, Output, PeerKey, Room, RoomConfig, TissueReport};
+use palpate_room::{Cutter, Output, PeerKey, Room, RoomConfig, TissueOrder, TissueReport};
 use palpate_tissue::Model;
 use palpate_transport::threads::{self, CpuTime, ThreadClass};
 use palpate_transport::{
     ModelSource, PeerHandle, PeerId, PeerInput, Server, ServerIdentity, spawn_peer,
 };
+use palpate_view::{PageAddress, PageInput};
 use tokio::runtime::Runtime;
 use tokio::sync::mpsc;
 use tracing::Instrument as _;
 
 use super::announcements::Announcements;
+use super::links::Links;
 use super::options::HostOptions;
+use super::page_site::PageSite;
+use super::pages::Pages;
 use super::summary::{HostSummary, Refused, TickTimes, limits};
 use super::tissue::{Answer, TissueThreads};
 use super::tokens::SeatTokens;
@@ -52,6 +57,7 @@ enum Moved {
     Peer(PeerInput),
     Joined(Box<PeerHandle>),
     Tissue(Box<Answer>),
+    Page(Box<PageInput>),
     Time,
     Over(String),
 }
@@ -71,20 +77,25 @@ struct Session {
     /// Counters of closed connections.
     refused: Refused,
     announcements: Announcements,
+    /// Participants in browsers, if the session has a page.
+    pages: Option<Pages>,
     tokens: SeatTokens,
     /// Joins and seats at the last update of the tokens.
     seats_known: (u64, usize),
 }
 
+/// Announces the address that the server listens on, the links, and the address of the page.
+type Announce<'a> = dyn Fn(SocketAddr, &Links, Option<PageAddress>) -> Result<(), ServerError> + 'a;
+
 /// Serves one session, with a source of its model for the seats in `tokens`. `announce` receives the address once the
 /// server listens; if it fails, no session is served.
 pub(super) fn serve(
     options: &HostOptions,
-    identity: &ServerIdentity,
+    (identity, site): (&ServerIdentity, Option<&PageSite>),
     (models, tokens): (ModelSource, SeatTokens),
     model: Model,
     config: RoomConfig,
-    announce: &dyn Fn(SocketAddr) -> Result<(), ServerError>,
+    announce: &Announce<'_>,
 ) -> Result<HostSummary, ServerError> {
     let io = |doing: &str| {
         let doing = doing.to_owned();
@@ -97,14 +108,28 @@ pub(super) fn serve(
         .enable_all()
         .build()
         .map_err(io("the network threads could not be started"))?;
-    let server = {
+    let (server, door) = {
         let _inside = network.enter();
-        Server::bind(options.listen, identity, models)?
+        match site {
+            Some(site) => {
+                let names = site.names.clone();
+                let bound = Server::bind_with_pages(options.listen, identity, models, names)?;
+                (bound.0, Some(bound.1))
+            }
+            None => (Server::bind(options.listen, identity, models)?, None),
+        }
     };
     let tick = Duration::from_micros(config.tick_period().as_micros().unsigned_abs());
-    let (tissue, uncut) = TissueThreads::start(Arc::new(model), solver_limit(tick))?;
-    let span = tracing::error_span!("session", epoch = config.epoch.0);
     let began = Instant::now();
+    let address = server.local_addr();
+    let links = Links::new(options, address, identity.certificate_hash(), site);
+    let pages = site.map(|site| {
+        let clock = Box::new(move || server_time(began));
+        Pages::start((site, door), clock, &model, &config, links.clone())
+    });
+    let (pages, feed) = pages.transpose()?.unzip();
+    let (tissue, uncut) = TissueThreads::start(Arc::new(model), solver_limit(tick), feed)?;
+    let span = tracing::error_span!("session", epoch = config.epoch.0);
     let mut session = Session {
         room: Room::new(uncut, config, ServerTime::ZERO),
         tissue,
@@ -118,12 +143,14 @@ pub(super) fn serve(
         skipped: 0,
         refused: Refused::default(),
         announcements: Announcements::new(),
+        pages,
         tokens,
         seats_known: (0, 0),
     };
     let server = Arc::new(server);
     let (joined, inbox) = span.in_scope(|| accept(&network, Arc::clone(&server), began));
-    announce(server.local_addr())?;
+    let page = session.pages.as_ref().map(Pages::address);
+    announce(server.local_addr(), &links, page)?;
     // This thread runs the room: it relays motion and computes no tissue.
     let _membership = threads::enter(ThreadClass::Network);
     let here = tokio::runtime::Builder::new_current_thread()
@@ -193,7 +220,9 @@ impl Session {
         let over = over(options.duration);
         tokio::pin!(over);
         loop {
-            let due = self.room.poll_timeout() - server_time(self.began);
+            let page_due = self.pages.as_ref().and_then(Pages::poll_timeout);
+            let due = self.room.poll_timeout();
+            let due = page_due.map_or(due, |page| page.min(due)) - server_time(self.began);
             let wait = Duration::from_micros(u64::try_from(due.as_micros()).unwrap_or(0));
             let moved = tokio::select! {
                 biased;
@@ -201,6 +230,7 @@ impl Session {
                 Some(handle) = joined.recv() => Moved::Joined(Box::new(handle)),
                 Some(answer) = self.tissue.answers.recv() => Moved::Tissue(Box::new(answer)),
                 Some(input) = inbox.recv() => Moved::Peer(input),
+                Some(input) = next_page(&mut self.pages) => Moved::Page(Box::new(input)),
                 () = tokio::time::sleep(wait) => Moved::Time,
             };
             match moved {
@@ -223,24 +253,40 @@ impl Session {
                     self.handle_input(input);
                 }
                 Moved::Tissue(answer) => self.handle_answer(*answer),
+                Moved::Page(input) => {
+                    if let Some(pages) = &mut self.pages {
+                        pages.handle(*input, &mut self.room);
+                    }
+                }
                 Moved::Time => {}
+            }
+            if let Some(pages) = &mut self.pages {
+                pages.handle_tick(&mut self.room, server_time(self.began));
             }
             // Continuous motion must not delay the tick.
             if server_time(self.began) >= self.room.poll_timeout() {
                 self.tick();
             }
             while let Some(order) = self.room.poll_order() {
+                if let (TissueOrder::Settle(tick), Some(pages)) = (&order, &self.pages) {
+                    let now = server_time(self.began);
+                    pages.show_tools(&mut self.room, tick.view_time, now);
+                }
                 if !self.tissue.order(order) {
                     return "the threads of the tissue failed; this is a fault of the program"
                         .to_owned();
                 }
             }
             self.publish_seats();
+            self.emulate_networks();
             self.deliver();
             let new = self.room.operations_since(self.announcements.next());
             self.announcements.announce(new);
             let now = server_time(self.began);
             self.announcements.announce_limits(self.room.limits(), now);
+            if let Some(pages) = &mut self.pages {
+                pages.show_state(&self.room, &self.peers, now);
+            }
         }
     }
 
@@ -304,10 +350,37 @@ impl Session {
         }
     }
 
+    /// Emulates the networks that new operations of the log ask for, also on the new connections of resumed seats.
+    fn emulate_networks(&mut self) {
+        let new = self.room.operations_since(self.announcements.next());
+        let concerns = |kind: &OperationKind| {
+            matches!(
+                kind,
+                OperationKind::Emulated { .. } | OperationKind::Reconnected { .. }
+            )
+        };
+        if !new.iter().any(|operation| concerns(&operation.kind)) {
+            return;
+        }
+        for seat in self.room.seat_figures() {
+            let Some(peer) = seat.peer else { continue };
+            if let Some(handle) = self.peers.get(&peer) {
+                handle.emulate(seat.emulation);
+            } else if let Some(pages) = &mut self.pages {
+                pages.emulate(peer, seat.emulation);
+            }
+        }
+    }
+
     fn deliver(&mut self) {
         while let Some(output) = self.room.poll_output() {
             match output {
                 Output::Message(peer, message) => {
+                    if let Some(pages) = &mut self.pages
+                        && pages.deliver(peer, &message, &self.room)
+                    {
+                        continue;
+                    }
                     if let Some(handle) = self.peers.get(&peer) {
                         // The task of a slow peer closes the connection and reports it.
                         handle.send(message);
@@ -364,6 +437,14 @@ impl Session {
             seconds: self.began.elapsed().as_secs_f64(),
             ended,
         }
+    }
+}
+
+/// The next event of a page; never, without a page.
+async fn next_page(pages: &mut Option<Pages>) -> Option<PageInput> {
+    match pages {
+        Some(pages) => pages.recv().await,
+        None => std::future::pending().await,
     }
 }
 

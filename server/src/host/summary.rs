@@ -21,6 +21,12 @@ pub struct Listening {
     pub model: ListeningModel,
     /// A join link per role.
     pub links: BTreeMap<String, String>,
+    /// Address of the page per role, if the session has one.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub pages: BTreeMap<String, String>,
+    /// Whether browsers will warn about the certificate of the page.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_page_self_signed: bool,
 }
 
 /// The model that is served.
@@ -145,6 +151,10 @@ pub(super) fn limits(counters: &LimitCounters) -> BTreeMap<String, u64> {
     counts.into_iter().filter(|(_, n)| *n > 0).collect()
 }
 
+/// Printed below the page's URLs.
+const SELF_SIGNED: &str = "browsers will warn about the self-signed certificate of this page; avoid it with \
+    --certificate and --key of a certificate for the page's host name";
+
 /// Prints address and join links.
 pub(super) fn announce(json: bool, listening: &Listening) -> Result<(), ServerError> {
     if json {
@@ -156,9 +166,18 @@ pub(super) fn announce(json: bool, listening: &Listening) -> Result<(), ServerEr
         listening.model.nodes,
         listening.model.bytes as f64 / 1e6
     );
+    // Writing to a string can not fail.
     for (role, link) in &listening.links {
-        // Writing to a string can not fail.
         let _ = write!(text, "\n{role:>11}  {link}");
+    }
+    if !listening.pages.is_empty() {
+        text.push_str("\nin a browser:");
+    }
+    for (role, page) in &listening.pages {
+        let _ = write!(text, "\n{role:>11}  {page}");
+    }
+    if listening.is_page_self_signed {
+        let _ = write!(text, "\n{SELF_SIGNED}");
     }
     print_result(&text)
 }

@@ -9,9 +9,10 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use palpate_protocol::{Span, TopologyHash};
-use palpate_room::{Authority, CutJob, Cutter, PreparedCut, TissueOrder, TissueReport};
-use palpate_tissue::Model;
+use palpate_room::{Authority, CutJob, Cutter, TissueOrder, TissueReport};
+use palpate_tissue::{Model, PreparedCut};
 use palpate_transport::threads::{self, ThreadClass};
+use palpate_view::Feed;
 use tokio::sync::mpsc as async_mpsc;
 
 use crate::ServerError;
@@ -40,10 +41,11 @@ pub(super) struct TissueThreads {
 
 impl TissueThreads {
     /// Builds the solver, which takes half a second for 60,000 nodes. `limit` is the CPU time of a tick after which no
-    /// further iteration begins.
+    /// further iteration begins; `feed` shows each tick to pages.
     pub(super) fn start(
         model: Arc<Model>,
         limit: Duration,
+        feed: Option<Feed>,
     ) -> Result<(Self, TopologyHash), ServerError> {
         let io = |source| ServerError::Io {
             doing: "the threads of the tissue could not be started".to_owned(),
@@ -59,6 +61,7 @@ impl TissueThreads {
             limit_ns: i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX),
             jobs,
             answer: answer.clone(),
+            feed,
         };
         let pool = solver_pool()?;
         threads::spawn(ThreadClass::Background, "tissue", move || {
@@ -111,6 +114,7 @@ struct Settler {
     limit_ns: i64,
     jobs: Sender<CutJob>,
     answer: async_mpsc::UnboundedSender<Answer>,
+    feed: Option<Feed>,
 }
 
 impl Settler {
@@ -135,6 +139,9 @@ impl Settler {
                     let took = Duration::from_nanos((now_ns - began_ns).unsigned_abs());
                     if self.answer.send(Answer { report, took }).is_err() {
                         return;
+                    }
+                    if let Some(feed) = &mut self.feed {
+                        feed.show(self.authority.tissue(), order.view_time);
                     }
                     let used = Span::from_micros((threads::worked_ns() - worked_ns) / 1000);
                     let rest = budget.charge(now_ns / 1000, used);

@@ -27,7 +27,8 @@ struct Entry {
 pub(super) struct Legend {
     entries: Vec<Entry>,
     more: usize,
-    grades: [[usize; 2]; 3],
+    /// `None` for walls of wounds, which show no cell.
+    grades: Option<[[usize; 2]; 3]>,
 }
 
 impl Legend {
@@ -65,7 +66,7 @@ impl Legend {
         Self {
             entries,
             more,
-            grades: section.grades,
+            grades: section.at_mm.map(|_| section.grades),
         }
     }
 
@@ -104,46 +105,57 @@ impl Legend {
             line(canvas, &text, [x + TEXT, y], Letters::Small, PALE_INK);
             y += ENTRY;
         }
-        y += 6.0;
-        let grade = |grade: Grade| {
-            let [here, all] = self.grades[grade as usize];
-            format!("{here} here, {all} in the model")
-        };
-        let poor = format!("poor: scaled Jacobian < {}", section::POOR);
-        for (with, what, count) in [
-            (POOR, poor.as_str(), grade(Grade::Poor)),
-            (
-                INVERTED,
-                "inverted, wholly or at a corner",
-                grade(Grade::Inverted),
-            ),
-        ] {
-            canvas.rectangle([x, y], [SWATCH; 2], with);
-            line(canvas, what, [x + TEXT, y], Letters::Small, INK);
-            line(
-                canvas,
-                &count,
-                [x + TEXT, y + 15.0],
-                Letters::Small,
-                PALE_INK,
-            );
-            y += ENTRY - 8.0;
+        if let Some(grades) = &self.grades {
+            y = draw_grades(canvas, grades, [x, y + 6.0]);
         }
         if springs {
-            for (width, opacity, what) in [
-                (1.6, 0.7, "structural springs"),
-                (1.0, 0.35, "shear springs"),
-            ] {
-                let middle = y + 0.5 * Letters::Small.height();
-                let stroke = [[x, middle], [x + SWATCH, middle]];
-                canvas.lines([stroke], width, INK, opacity);
-                line(canvas, what, [x + TEXT, y], Letters::Small, INK);
-                y += 18.0;
-            }
-            let layer = "of the layer nearest to the slice";
-            line(canvas, layer, [x + TEXT, y], Letters::Small, PALE_INK);
+            draw_springs(canvas, [x, y]);
         }
     }
+}
+
+/// Marks of poor cells with their counts. Returns the position below.
+fn draw_grades(canvas: &mut Canvas, grades: &[[usize; 2]; 3], [x, mut y]: [f32; 2]) -> f32 {
+    let grade = |grade: Grade| {
+        let [here, all] = grades[grade as usize];
+        format!("{here} here, {all} in the model")
+    };
+    let poor = format!("poor: scaled Jacobian < {}", section::POOR);
+    for (with, what, count) in [
+        (POOR, poor.as_str(), grade(Grade::Poor)),
+        (
+            INVERTED,
+            "inverted, wholly or at a corner",
+            grade(Grade::Inverted),
+        ),
+    ] {
+        canvas.rectangle([x, y], [SWATCH; 2], with);
+        line(canvas, what, [x + TEXT, y], Letters::Small, INK);
+        line(
+            canvas,
+            &count,
+            [x + TEXT, y + 15.0],
+            Letters::Small,
+            PALE_INK,
+        );
+        y += ENTRY - 8.0;
+    }
+    y
+}
+
+fn draw_springs(canvas: &mut Canvas, [x, mut y]: [f32; 2]) {
+    for (width, opacity, what) in [
+        (1.6, 0.7, "structural springs"),
+        (1.0, 0.35, "shear springs"),
+    ] {
+        let middle = y + 0.5 * Letters::Small.height();
+        let stroke = [[x, middle], [x + SWATCH, middle]];
+        canvas.lines([stroke], width, INK, opacity);
+        line(canvas, what, [x + TEXT, y], Letters::Small, INK);
+        y += 18.0;
+    }
+    let layer = "of the layer nearest to the slice";
+    line(canvas, layer, [x + TEXT, y], Letters::Small, PALE_INK);
 }
 
 /// A line of text, truncated to the legend's width.

@@ -8,10 +8,12 @@ mod colour;
 mod legend;
 mod section;
 mod sheet;
+mod wound;
 
 use std::str::FromStr;
 
-use palpate_tissue::ModelFile;
+use palpate_tissue::file::ModelFile;
+use palpate_tissue::{Model, Topology};
 
 use crate::ServerError;
 use section::Section;
@@ -70,7 +72,30 @@ pub(crate) fn draw(
     springs: bool,
 ) -> Result<Vec<u8>, ServerError> {
     let section = Section::through(&file.model, slice).map_err(ServerError::Option)?;
-    sheet::draw(&file.model, &section, name, springs)
+    on_sheet(&file.model, &section, name, springs)
+}
+
+/// Draws the walls of the wounds of a topology as PNG, coloured by region; `model` is [`Topology::to_model`] of it. Without
+/// a wound it draws the section through the middle.
+pub(crate) fn draw_wounds(
+    topology: &Topology,
+    model: &Model,
+    name: &str,
+) -> Result<Vec<u8>, ServerError> {
+    let section = match wound::walls(topology, model) {
+        Some(walls) => walls,
+        None => Section::through(model, Slice::default()).map_err(ServerError::Option)?,
+    };
+    on_sheet(model, &section, name, false)
+}
+
+fn on_sheet(
+    model: &Model,
+    section: &Section,
+    name: &str,
+    springs: bool,
+) -> Result<Vec<u8>, ServerError> {
+    sheet::draw(model, section, name, springs)
         .map_err(|what| ServerError::Option(format!("cannot draw the picture: {what}")))
 }
 

@@ -7,7 +7,7 @@ use palpate_tissue::{Model, Vec3};
 
 use super::Slice;
 
-const MM: f64 = 1e3;
+pub(super) const MM: f64 = 1e3;
 
 /// Scaled Jacobian below which a cell is marked as poor: its edge springs hardly resist a change of its diagonals.
 pub(super) const POOR: f64 = 0.2;
@@ -42,13 +42,15 @@ pub(super) struct CellCut {
 pub(super) struct Section {
     /// The axis normal to the section.
     pub(super) axis: usize,
-    /// Position on the axis, in mm.
-    pub(super) at_mm: f64,
+    /// Position on the axis, in mm; `None` for walls of wounds, seen along the axis.
+    pub(super) at_mm: Option<f64>,
     pub(super) cells: Vec<CellCut>,
     /// Edges of cells in the layer nearest to the plane.
     pub(super) structural: Vec<[Point; 2]>,
     /// Their face diagonals.
     pub(super) shear: Vec<[Point; 2]>,
+    /// Outlines of the model behind walls.
+    pub(super) context: Vec<[Point; 2]>,
     /// Lower and upper corner of the section in mm.
     pub(super) bounds: [Point; 2],
     /// Cells of each grade in the section, and in the model.
@@ -78,10 +80,11 @@ impl Section {
         let at = at_mm.clamp(low + inset, high - inset) / MM;
         let mut section = Self {
             axis,
-            at_mm,
+            at_mm: Some(at_mm),
             cells: Vec::new(),
             structural: Vec::new(),
             shear: Vec::new(),
+            context: Vec::new(),
             bounds: [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]],
             grades: [[0; 2]; 3],
         };
@@ -213,7 +216,7 @@ fn around(points: &[Point]) -> Vec<Point> {
 }
 
 /// Projection of a point along the axis, in mm: x to the right and z up where they exist.
-fn flat(axis: usize, p: Vec3) -> Point {
+pub(super) fn flat(axis: usize, p: Vec3) -> Point {
     let [right, up] = [[1, 2], [0, 2], [0, 1]][axis];
     [p[right] * MM, p[up] * MM]
 }

@@ -35,8 +35,9 @@ pub(super) fn draw(
     let height = TOP + (frame.size[1] + BOTTOM).max(legend.height());
     let mut canvas = Canvas::new(width as u32, height as u32)?;
     let spacing = model.spacing_m * 1e3 * frame.scale;
-    let springs = springs || spacing >= SPRINGS_FROM;
+    let springs = section.at_mm.is_some() && (springs || spacing >= SPRINGS_FROM);
     title(&mut canvas, model, section, name);
+    canvas.lines(frame.lines(&section.context), 1.2, PALE_INK, 0.8);
     cells(&mut canvas, &frame, section, &colour::of_regions(model));
     if springs {
         draw_springs(&mut canvas, &frame, section, spacing);
@@ -79,6 +80,10 @@ impl Frame {
         [LEFT + x, TOP + self.size[1] - y]
     }
 
+    fn lines(&self, of: &[[Point; 2]]) -> Vec<[[f32; 2]; 2]> {
+        of.iter().map(|l| l.map(|p| self.at(p))).collect()
+    }
+
     fn outlines(&self, section: &Section, border: bool) -> Vec<[[f32; 2]; 2]> {
         let lines = section.cells.iter().flat_map(|c| &c.outline);
         lines
@@ -90,10 +95,16 @@ impl Frame {
 
 fn title(canvas: &mut Canvas, model: &Model, section: &Section, name: &str) {
     let axis = ["x", "y", "z"][section.axis];
-    let title = format!("{name}   {axis} = {:.1} mm", section.at_mm);
+    let (title, shown) = match section.at_mm {
+        Some(at) => (format!("{name}   {axis} = {at:.1} mm"), "in this section"),
+        None => (
+            format!("{name}   walls of wounds, seen along {axis}"),
+            "with a wall in view",
+        ),
+    };
     canvas.text(&title, [LEFT, 14.0], Letters::Large, INK);
     let figures = format!(
-        "spacing {} mm   {} nodes   {} cells, {} in this section",
+        "spacing {} mm   {} nodes   {} cells, {} {shown}",
         Figures(model.spacing_m * 1e3),
         model.nodes.len(),
         model.cells.len(),
@@ -113,12 +124,8 @@ fn cells(canvas: &mut Canvas, frame: &Frame, section: &Section, colours: &[Colou
 
 fn draw_springs(canvas: &mut Canvas, frame: &Frame, section: &Section, spacing: f64) {
     let width = (spacing * 0.05).clamp(0.5, 1.6) as f32;
-    let lines = |of: &[[Point; 2]]| -> Vec<_> {
-        let to_pixels = of.iter().map(|l| l.map(|p| frame.at(p)));
-        to_pixels.collect()
-    };
-    canvas.lines(lines(&section.shear), width * 0.6, INK, 0.28);
-    canvas.lines(lines(&section.structural), width, INK, 0.6);
+    canvas.lines(frame.lines(&section.shear), width * 0.6, INK, 0.28);
+    canvas.lines(frame.lines(&section.structural), width, INK, 0.6);
 }
 
 /// Cells of poor shape, over everything else.

@@ -6,9 +6,8 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use palpate_tissue::{
-    BladePoint, CutStroke, Material, Shape, Topology, Vec3, block, cut, restore, snapshot,
-};
+use palpate_tissue::snapshot::{restore, snapshot};
+use palpate_tissue::{BladePoint, CutStroke, Material, Tissue, Topology, Vec3, block, cut};
 
 const SPACING_M: f64 = 0.0025;
 
@@ -83,26 +82,22 @@ fn main() {
     }
 }
 
-/// The same 50 mm as fifty strokes of 1 mm, each continuing the last one.
+/// The same 50 mm as fifty strokes of 1 mm, each continuing the last one; then as one cut of a tissue with its solver.
 fn gradual(built: &Topology, top: f64) {
     let whole = strokes(top, 50, 0.05, 0.02);
     let mut t = built.clone();
-    let mut shape = Shape::rest(&t);
     let mut times = Vec::new();
     let mut opened = 0;
     for end in 1..=50 {
         // A stroke begins one lattice step earlier, so that the sheet is never narrower than two cells.
         let from = usize::saturating_sub(end, 8);
         let points = whole.points[from..=end].to_vec();
+        let stroke = CutStroke {
+            points,
+            width_m: 0.0,
+        };
         let start = Instant::now();
-        if let Ok(outcome) = cut(
-            &mut t,
-            &CutStroke {
-                points,
-                width_m: 0.0,
-            },
-        ) {
-            shape.follow(&t, &outcome);
+        if let Ok(outcome) = cut(&mut t, &stroke) {
             opened += outcome.faces_opened;
         }
         times.push(start.elapsed());
@@ -112,8 +107,13 @@ fn gradual(built: &Topology, top: f64) {
         "50 samples of 1 mm: median {:.2?}, p90 {:.2?}, worst {:.2?}; {opened} faces",
         times[25], times[45], times[49]
     );
+    let mut tissue = Tissue::at_rest(built.clone());
     let start = Instant::now();
-    let bytes = snapshot(&t, &shape);
+    let parts = tissue.cut(&whole).is_ok();
+    println!("tissue with solver: {:.2?}, cut: {parts}", start.elapsed());
+    let (t, shape) = (tissue.topology(), tissue.shape());
+    let start = Instant::now();
+    let bytes = snapshot(t, shape);
     let taken = start.elapsed();
     let start = Instant::now();
     let restored = restore(Arc::clone(t.model()), &bytes);

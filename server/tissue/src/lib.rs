@@ -1,18 +1,19 @@
 //! The deformable model: its equilibrium under tools, cutting, model files, snapshots and hashes.
 //!
 //! This crate never opens a socket, never reads a clock and reads only model files. Three kinds of data are kept
-//! apart: what was built, what cuts and tools change, and the scratch memory of the solvers.
+//! apart: what was built, what cuts and tools change, and the scratch memory of the solvers. A [`Tissue`] owns the last two.
 //!
 //! ```text
 //!  model file --decode_model--> Model   immutable: nodes, cells, regions with their Material
 //!                                 |
-//!         CutStroke --cut--> Topology   wiring and rest positions; cuts change it
-//!                 |               |
-//!           CutOutcome --follow-> Shape    displacement of each node; tools change it, one per view
-//!                 |               |
-//!                 +-----follow-> Solver   scratch memory, one per shape
-//!                                 |
-//!          Tool, Budget --step----+---> StepReport with one Reaction per tool
+//!             CutStroke --cut--> Tissue ----> CutOutcome
+//!          Tool, Budget --step-->   |   ----> StepReport with one Reaction per tool
+//!                                   |
+//!                                   +-- Topology   wiring and rest positions; cuts change it
+//!                                   +-- Shape      displacement of each node; tools change it
+//!                                   +-- scratch memory of the solver
+//!
+//!  another thread: CutPreparer --prepare--> PreparedCut --succeed--> Tissue
 //! ```
 //!
 //! Press a block of tissue, then cut it:
@@ -21,19 +22,15 @@
 //! use palpate_tissue::*;
 //!
 //! let model = block([10, 10, 6], 0.004, &Material::default(), 1);
-//! let mut topology = Topology::new(model.into());
-//! let mut shape = Shape::rest(&topology);
-//! let mut solver = Solver::new(&topology);
+//! let mut tissue = Tissue::new(model.into());
 //! let tool = Tool::ball(1, Vec3::new(0.02, 0.02, 0.03), 0.008);
-//! let report = solver.step(&topology, &mut shape, &[tool], Budget::new(100, 1e-3));
+//! let report = tissue.step(&[tool], Budget::new(100, 1e-3));
 //! assert!(report.reactions[0].force.z > 0.0);
 //!
 //! let point = |y| BladePoint { tip: Vec3::new(0.0201, y, 0.012), axis: Vec3::z(), depth_m: 0.02 };
 //! let stroke = CutStroke { points: vec![point(0.01), point(0.03)], width_m: 0.0 };
-//! let outcome = cut(&mut topology, &stroke)?;
-//! shape.follow(&topology, &outcome);
-//! solver.follow(&topology, &outcome.touched);
-//! assert_eq!(topology.version(), 1);
+//! tissue.cut(&stroke)?;
+//! assert_eq!(tissue.topology().version(), 1);
 //! # Ok::<(), CutError>(())
 //! ```
 
@@ -43,6 +40,8 @@ mod block;
 pub mod cell;
 mod contact;
 mod cut;
+mod cut_history;
+mod cut_model;
 mod equilibrium;
 mod fibre;
 pub mod file;
@@ -50,27 +49,28 @@ mod fit;
 pub mod material;
 mod model;
 pub mod nearest;
+mod pages;
 mod rows;
 mod shape;
-mod snapshot;
+pub mod snapshot;
 pub mod springs;
-mod staged;
+mod tissue;
 mod topology;
 
 pub use block::block;
 pub use cell::Cell;
 pub use contact::{Clearance, ContactPatch, Form, Reaction, Tool};
-pub use cut::{BladePoint, CutError, CutOutcome, CutStroke, Moved, RestPoint, cut, to_rest};
-pub use equilibrium::{
-    Budget, Follower, Mechanism, Sag, Solver, SolverState, StepReport, Successor,
+pub use cut::{
+    BladePoint, CutError, CutOutcome, CutStroke, Moved, RestPoint, StrokePart, SweptSurface, cut,
+    to_rest,
 };
-pub use file::{FileError, ModelFile, decode_model, encode_model};
+pub use cut_history::CutHistory;
+pub use equilibrium::{Budget, CutPreparer, Mechanism, PreparedCut, Retired, Sag, StepReport};
 pub use material::{FibreAxis, Material};
 pub use model::{Model, Region, RegionId};
 pub use rows::Rows;
 pub use shape::Shape;
-pub use snapshot::{SNAPSHOT_FORMAT, model_hash, restore, snapshot};
-pub use staged::{Staged, WriteError, write_file};
+pub use tissue::Tissue;
 pub use topology::{Boundary, FaceId, Topology, TopologyHash};
 
 /// A vector or point of the model, in metres, newtons or the unit of its name.

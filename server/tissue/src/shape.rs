@@ -1,5 +1,6 @@
 //! The deformed shape: one displacement per node.
 
+use crate::equilibrium::laid_out;
 use crate::{Topology, Vec3};
 
 /// Displacements from the rest positions of a [`Topology`]. Several shapes of one topology may exist at once:
@@ -14,7 +15,7 @@ impl Shape {
     /// The undeformed shape.
     pub fn rest(topology: &Topology) -> Self {
         Self {
-            displacement: vec![Vec3::zeros(); topology.node_count()],
+            displacement: laid_out(Vec3::zeros(), topology.node_count()),
         }
     }
 

@@ -68,7 +68,7 @@ pub fn snapshot(topology: &Topology, shape: &Shape) -> Vec<u8> {
             topology.cut[cell] != 0 || topology.corners[cell] != model.cells[cell].corners
         })
         .collect();
-    let boundary = &topology.boundary;
+    let boundary = topology.boundary();
     let opened = topology.cut_index.opened.len();
     let mut out = Content::default();
     out.u64(model_hash(model));
@@ -146,7 +146,7 @@ fn restore_content(model: Arc<Model>, content: &[u8]) -> Result<(Topology, Shape
     let mut changed = rewire(&mut topology, &mut reader, nodes, rewired)?;
     changed.extend(built as u32..nodes as u32);
     let faces = reader.steps32(opened)?;
-    let diagonals = reader.bytes(topology.boundary.faces.len() + opened)?;
+    let diagonals = reader.bytes(topology.boundary().faces.len() + opened)?;
     read_rest(&mut topology, &mut reader, &mut changed)?;
     let displacement = read_points(&mut reader, nodes, |_| Vec3::zeros())?;
     if !reader.0.is_empty() {
@@ -154,6 +154,7 @@ fn restore_content(model: Arc<Model>, content: &[u8]) -> Result<(Topology, Shape
     }
     reopen(&mut topology, &faces, diagonals)?;
     derive_around(&mut topology, &changed);
+    topology.hash_anew();
     topology.version = version;
     Ok((topology, Shape { displacement }))
 }
@@ -186,22 +187,25 @@ fn rewire(
         }
         topology.cut[cell as usize] = bits[i];
     }
-    topology.rest.resize(nodes, Vec3::zeros());
-    topology.mass.resize(nodes, 0.0);
-    topology.pinned.resize(nodes, false);
-    topology.node_cells = vec![[NO_CELL; 8]; nodes];
+    for _ in topology.node_count()..nodes {
+        topology.rest.push(Vec3::zeros());
+        topology.mass.push(0.0);
+        topology.pinned.push(false);
+    }
+    let mut node_cells = vec![[NO_CELL; 8]; nodes];
     for (cell, corners) in topology.corners.iter().enumerate() {
         for (slot, &node) in corners.iter().enumerate() {
-            let place = &mut topology.node_cells[node as usize][slot];
+            let place = &mut node_cells[node as usize][slot];
             if *place != NO_CELL {
                 return Err("has two cells in one position".into());
             }
             *place = cell as u32;
         }
     }
-    if topology.node_cells.contains(&[NO_CELL; 8]) {
+    if node_cells.contains(&[NO_CELL; 8]) {
         return Err("has a node without a cell".into());
     }
+    topology.node_cells = node_cells.into();
     for &cell in &cells {
         check_faces(topology, cell)?;
     }
@@ -246,7 +250,7 @@ fn read_rest(
             changed.insert(node as u32);
         }
     }
-    topology.rest = rest;
+    topology.rest = rest.into();
     Ok(())
 }
 
@@ -281,23 +285,22 @@ fn reopen(topology: &mut Topology, faces: &[u32], diagonals: &[u8]) -> Result<()
     let bits: u32 = topology.cut.iter().map(|c| c.count_ones()).sum();
     for &face in faces {
         let id = FaceId(face);
-        let cut = topology.cut.get(id.cell() as usize);
-        let position = topology.boundary.faces.len() as u32;
+        let is_known = (id.cell() as usize) < topology.cell_count();
+        let cut = is_known.then(|| topology.cut[id.cell() as usize]);
+        let position = topology.boundary().faces.len() as u32;
         let first = topology.cut_index.opened.insert(id, position).is_none();
         if cut.is_none_or(|bits| bits >> id.face() & 1 == 0) || !first {
             return Err("lists an opened face that is not cut".into());
         }
-        topology.boundary.faces.push(id);
+        topology.boundary_mut().faces.push(id);
     }
     if bits as usize != faces.len() {
         return Err("leaves out a face that is cut".into());
     }
-    topology.boundary.triangles = topology
-        .boundary
-        .faces
-        .iter()
-        .zip(diagonals)
+    let faces = topology.boundary().faces.iter().zip(diagonals);
+    let triangles = faces
         .flat_map(|(&face, &along)| topology.split(face, along == 1))
         .collect();
+    topology.boundary_mut().triangles = triangles;
     Ok(())
 }

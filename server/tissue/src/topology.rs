@@ -5,51 +5,50 @@
 //! cell. Masses and the outer surface are derived from these, and updated only around changed nodes; springs are
 //! derived when asked for.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use crate::cell::{FACES, NO_CELL, cell_volume};
 use crate::equilibrium::Elastic;
+use crate::pages::Pages;
 use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR, Spring};
 use crate::{Model, RegionId, Vec3};
 
 /// Identifies a topology: equal hashes mean the same cells, wired alike, at the same rest
-/// positions, after the same number of cuts.
+/// positions. The version is no part of it, so that the topology after an undo has its earlier hash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct TopologyHash(pub u64);
 
 impl TopologyHash {
     /// The hash of a model's uncut topology, without deriving that topology.
     pub fn of_uncut(model: &Model) -> Self {
-        let wiring = model.cells.iter().map(|c| (&c.corners, 0));
-        Self::of(0, wiring, &model.nodes)
+        let cells = model.cells.par_iter().zip(0..model.cells.len() as u32);
+        let cells = cells.map(|(cell, c)| hash_of_cell(c, &cell.corners, 0));
+        let nodes = model.nodes.par_iter().zip(0..model.nodes.len() as u32);
+        let nodes = nodes.map(|(rest, n)| hash_of_node(n, rest));
+        Self(cells.chain(nodes).reduce(|| 0, u64::wrapping_add))
     }
+}
 
-    fn of<'a>(
-        version: u32,
-        wiring: impl Iterator<Item = (&'a [u32; 8], u8)>,
-        rest: &[Vec3],
-    ) -> Self {
-        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
-        hasher.update(&version.to_le_bytes());
-        for (corners, cut) in wiring {
-            let mut bytes = [0; 33];
-            for (c, node) in corners.iter().enumerate() {
-                bytes[4 * c..4 * c + 4].copy_from_slice(&node.to_le_bytes());
-            }
-            bytes[32] = cut;
-            hasher.update(&bytes);
-        }
-        for p in rest {
-            let mut bytes = [0; 24];
-            for (a, v) in p.iter().enumerate() {
-                bytes[8 * a..8 * a + 8].copy_from_slice(&v.to_bits().to_le_bytes());
-            }
-            hasher.update(&bytes);
-        }
-        Self(hasher.digest())
+/// Hash of a cell. The hash of a topology is the sum of those of its cells and nodes, so that a cut updates it locally.
+fn hash_of_cell(cell: u32, corners: &[u32; 8], cut: u8) -> u64 {
+    let mut bytes = [0; 33];
+    for (c, node) in corners.iter().enumerate() {
+        bytes[4 * c..4 * c + 4].copy_from_slice(&node.to_le_bytes());
     }
+    bytes[32] = cut;
+    xxhash_rust::xxh3::xxh3_64_with_seed(&bytes, cell.into())
+}
+
+/// Hash of a node at rest.
+fn hash_of_node(node: u32, rest: &Vec3) -> u64 {
+    let mut bytes = [0; 24];
+    for (a, v) in rest.iter().enumerate() {
+        bytes[8 * a..8 * a + 8].copy_from_slice(&v.to_bits().to_le_bytes());
+    }
+    xxhash_rust::xxh3::xxh3_64_with_seed(&bytes, node.into())
 }
 
 impl std::fmt::Display for TopologyHash {
@@ -102,26 +101,34 @@ impl Boundary {
     }
 }
 
-/// The mutable wiring of a [`Model`].
+/// The mutable wiring of a [`Model`]. Copies share all that has not changed since.
 #[derive(Debug, Clone)]
 pub struct Topology {
     pub(crate) model: Arc<Model>,
     /// Moduli of each region.
     elastic: Vec<Elastic>,
     pub(crate) version: u32,
-    pub(crate) rest: Vec<Vec3>,
-    pub(crate) corners: Vec<[u32; 8]>,
+    hash: TopologyHash,
+    pub(crate) rest: Pages<Vec3>,
+    pub(crate) corners: Pages<[u32; 8]>,
     /// Bit `f` is set when face `f` of the cell was cut.
-    pub(crate) cut: Vec<u8>,
+    pub(crate) cut: Pages<u8>,
     /// Slot `c` of a node: the cell of which it is corner `c`, or [`NO_CELL`].
-    pub(crate) node_cells: Vec<[u32; 8]>,
-    pub(crate) cell_volume: Vec<f64>,
+    pub(crate) node_cells: Pages<[u32; 8]>,
+    pub(crate) cell_volume: Pages<f64>,
     /// Volume of each cell as it was built; its mass follows from it, so that no cut changes the mass.
-    built_volume: Vec<f64>,
-    pub(crate) mass: Vec<f64>,
-    pub(crate) pinned: Vec<bool>,
-    pub(crate) boundary: Boundary,
+    built_volume: Arc<Vec<f64>>,
+    pub(crate) mass: Pages<f64>,
+    pub(crate) pinned: Pages<bool>,
+    boundary: Arc<Boundary>,
     pub(crate) cut_index: crate::cut::CutIndex,
+}
+
+/// The data that the hash of a topology covers, as they were before a change.
+pub(crate) struct Hashed {
+    rest: Pages<Vec3>,
+    corners: Pages<[u32; 8]>,
+    cut: Pages<u8>,
 }
 
 impl Topology {
@@ -138,18 +145,20 @@ impl Topology {
             .into_par_iter()
             .map(|c| cell_volume(&model.corners_of(c)))
             .collect();
+        let corners: Vec<[u32; 8]> = model.cells.iter().map(|c| c.corners).collect();
         let mut topology = Self {
             elastic: model.regions.iter().map(Elastic::of).collect(),
             version: 0,
-            rest: model.nodes.clone(),
-            corners: model.cells.iter().map(|c| c.corners).collect(),
-            cut: vec![0; model.cells.len()],
-            node_cells,
-            built_volume: cell_volume.clone(),
-            cell_volume,
-            mass: vec![0.0; nodes],
-            pinned: vec![false; nodes],
-            boundary: Boundary::default(),
+            hash: TopologyHash::of_uncut(&model),
+            rest: model.nodes.clone().into(),
+            corners: corners.into(),
+            cut: vec![0; model.cells.len()].into(),
+            node_cells: node_cells.into(),
+            built_volume: Arc::new(cell_volume.clone()),
+            cell_volume: cell_volume.into(),
+            mass: vec![0.0; nodes].into(),
+            pinned: vec![false; nodes].into(),
+            boundary: Arc::default(),
             cut_index: crate::cut::CutIndex::default(),
             model,
         };
@@ -230,6 +239,11 @@ impl Topology {
         &self.boundary
     }
 
+    /// The outer surface, for a change.
+    pub(crate) fn boundary_mut(&mut self) -> &mut Boundary {
+        Arc::make_mut(&mut self.boundary)
+    }
+
     /// Rest volume of a cell in m³.
     pub fn volume(&self, cell: u32) -> f64 {
         self.cell_volume[cell as usize]
@@ -247,10 +261,48 @@ impl Topology {
         })
     }
 
-    /// Hash over version, wiring, cut faces and rest positions.
+    /// Hash over wiring, cut faces and rest positions.
     pub fn hash(&self) -> TopologyHash {
-        let wiring = self.corners.iter().zip(self.cut.iter().copied());
-        TopologyHash::of(self.version, wiring, &self.rest)
+        self.hash
+    }
+
+    /// A copy of the data that the hash covers, for [`rehash`](Self::rehash) after a change.
+    pub(crate) fn hashed(&self) -> Hashed {
+        Hashed {
+            rest: self.rest.clone(),
+            corners: self.corners.clone(),
+            cut: self.cut.clone(),
+        }
+    }
+
+    /// Updates the hash after a change that touched these nodes.
+    pub(crate) fn rehash(&mut self, before: &Hashed, touched: &[u32]) {
+        let mut sum = self.hash.0;
+        let mut cells = BTreeSet::new();
+        for &node in touched {
+            let n = node as usize;
+            if n < before.rest.len() {
+                sum = sum.wrapping_sub(hash_of_node(node, &before.rest[n]));
+            }
+            sum = sum.wrapping_add(hash_of_node(node, &self.rest[n]));
+            cells.extend(self.node_cells[n].into_iter().filter(|&c| c != NO_CELL));
+        }
+        for cell in cells {
+            let c = cell as usize;
+            let old = hash_of_cell(cell, &before.corners[c], before.cut[c]);
+            let new = hash_of_cell(cell, &self.corners[c], self.cut[c]);
+            sum = sum.wrapping_sub(old).wrapping_add(new);
+        }
+        self.hash = TopologyHash(sum);
+    }
+
+    /// Hash of the whole, without the earlier one.
+    pub(crate) fn hash_anew(&mut self) {
+        let cells = (0..).zip(self.corners.iter().zip(self.cut.iter()));
+        let cells = cells.map(|(c, (corners, &cut))| hash_of_cell(c, corners, cut));
+        let nodes = (0..).zip(self.rest.iter());
+        let nodes = nodes.map(|(n, rest)| hash_of_node(n, rest));
+        self.hash = TopologyHash(cells.chain(nodes).fold(0, u64::wrapping_add));
     }
 
     /// Mass and pinning of a node, from the cells around it.
@@ -289,7 +341,7 @@ impl Topology {
                 };
                 let d = self.rest(to) - from;
                 let length = d.norm().max(floor);
-                let stiffness = share * energy * elastic.along(&d) / (length * length);
+                let stiffness = share * energy * elastic.fibre_factor(&d) / (length * length);
                 match sums.iter_mut().find(|s| s.0 == to) {
                     Some(sum) => sum.1 += stiffness,
                     None => sums.push((to, stiffness)),
@@ -317,7 +369,8 @@ impl Topology {
                 }
             }
         }
-        self.boundary = boundary;
+        crate::cut_model::part_diagonals(&mut boundary);
+        self.boundary = Arc::new(boundary);
     }
 
     /// Splits a face along its shorter diagonal at rest.

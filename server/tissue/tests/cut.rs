@@ -7,7 +7,9 @@ mod cut_laws;
 use std::sync::Arc;
 
 use cut_laws::{Outline, check_all, stroke, topology};
-use palpate_tissue::{BladePoint, CutError, CutStroke, Shape, Topology, Vec3, block, cut, to_rest};
+use palpate_tissue::{
+    BladePoint, CutError, CutStroke, Shape, Tissue, Topology, Vec3, block, cut, to_rest,
+};
 
 const D: f64 = 0.005;
 
@@ -272,23 +274,25 @@ fn wide_wound_opens_at_the_top_and_closes_at_the_front() {
 
 #[test]
 fn cut_keeps_the_displacement_field() {
-    let mut t = topology([10, 10, 10], D);
+    let t = topology([10, 10, 10], D);
     let bend = nalgebra::Matrix3::new(0.1, 0.2, 0.0, 0.0, -0.1, 0.05, 0.1, 0.0, 0.2);
-    let mut shape = Shape::rest(&t);
-    for (i, u) in shape.displacement.iter_mut().enumerate() {
-        *u = bend * t.rest(i as u32);
-    }
-    let outcome = cut(
-        &mut t,
-        &upright([4.3 * D, -D], [6.1 * D, 11.0 * D], 10.0 * D, 6.0 * D),
-    )
-    .unwrap();
+    let bent = (0..t.node_count() as u32).map(|n| (n, bend * t.rest(n)));
+    let mut tissue = Tissue::at_rest(t.clone());
+    tissue.displace(&bent.collect::<Vec<_>>());
+    let outcome = tissue
+        .cut(&upright(
+            [4.3 * D, -D],
+            [6.1 * D, 11.0 * D],
+            10.0 * D,
+            6.0 * D,
+        ))
+        .unwrap();
     assert!(!outcome.moved.is_empty());
-    shape.follow(&t, &outcome);
-    assert_eq!(shape.displacement.len(), t.node_count());
+    let (t, displacement) = (tissue.topology(), &tissue.shape().displacement);
+    assert_eq!(displacement.len(), t.node_count());
     // An affine deformation is unchanged at every node.
     for n in 0..t.node_count() as u32 {
-        let off = shape.displacement[n as usize] - bend * t.rest(n);
+        let off = displacement[n as usize] - bend * t.rest(n);
         assert!(off.norm() < 1e-9 * D, "node {n}: {}", off.norm() / D);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Tissue, Tool, Topology, Vec3, block};
 
 /// Hash of a press into a block of 14 thousand cells with a volume term and stiffening springs. It changes only
 /// with the force law or the solver, and then on every machine.
@@ -15,7 +15,7 @@ fn press(threads: usize) -> u64 {
         ..Material::default()
     };
     let topology = Topology::new(Arc::new(block([24, 24, 24], 4e-3, &material, 1)));
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
@@ -28,10 +28,10 @@ fn press(threads: usize) -> u64 {
                 0.012,
             );
             // A small tolerance refines every brick, so that the threads have work to share.
-            solver.step(&topology, &mut shape, &[tool], Budget::new(4, 1e-6));
+            tissue.step(&[tool], Budget::new(4, 1e-6));
         }
     });
-    shape.hash()
+    tissue.shape().hash()
 }
 
 #[test]

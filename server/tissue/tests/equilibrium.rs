@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use palpate_tissue::{Budget, Material, Shape, Solver, StepReport, Tool, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Shape, StepReport, Tissue, Tool, Topology, Vec3, block};
 
 const MM: f64 = 1e-3;
 const YOUNG_PA: f64 = 10e3;
@@ -20,35 +20,26 @@ fn tissue(cells: [usize; 3], spacing_m: f64) -> Topology {
     Topology::new(Arc::new(block(cells, spacing_m, &material, 1)))
 }
 
-fn slab() -> (Topology, Solver, Shape) {
+fn slab() -> Tissue {
     let topology = tissue([12, 12, 8], 4.0 * MM);
-    let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
-    (topology, solver, shape)
+    Tissue::at_rest(topology)
 }
 
 fn tool(x: f64, y: f64, depth: f64, radius: f64) -> Tool {
     Tool::ball(1, Vec3::new(x, y, 32.0 * MM + radius - depth), radius)
 }
 
-fn settle(
-    topology: &Topology,
-    solver: &mut Solver,
-    shape: &mut Shape,
-    tools: &[Tool],
-    tolerance: f64,
-) -> StepReport {
-    solver
-        .step(topology, shape, tools, Budget::new(400, tolerance))
-        .clone()
+fn settle(tissue: &mut Tissue, tools: &[Tool], tolerance: f64) -> StepReport {
+    tissue.step(tools, Budget::new(400, tolerance)).clone()
 }
 
 /// Presses straight down in steps of half a millimetre.
-fn press(topology: &Topology, solver: &mut Solver, shape: &mut Shape, last: Tool) -> StepReport {
+fn press(tissue: &mut Tissue, last: Tool) -> StepReport {
     let mut report = StepReport::default();
     for s in 1..=4 {
         let mut t = last;
         t.centre.z += 0.5 * MM * f64::from(4 - s);
-        report = settle(topology, solver, shape, &[t], 1e-6);
+        report = settle(tissue, &[t], 1e-6);
     }
     report
 }
@@ -56,29 +47,24 @@ fn press(topology: &Topology, solver: &mut Solver, shape: &mut Shape, last: Tool
 #[test]
 fn bar_in_tension_has_young_and_poisson_of_its_material() {
     let topology = tissue([6, 6, 25], 4.0 * MM);
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let strain = 0.01;
     // The clamped ends disturb their neighbourhood, so strain is read in the middle.
     for node in 0..topology.node_count() as u32 {
         if topology.rest(node).z > 99.9 * MM {
-            assert!(solver.hold(
-                &topology,
-                &mut shape,
-                node,
-                Vec3::z() * (strain * 96.0 * MM)
-            ));
+            assert!(tissue.hold(node, Vec3::z() * (strain * 96.0 * MM)));
         }
     }
-    let report = settle(&topology, &mut solver, &mut shape, &[], 1e-6);
+    let report = settle(&mut tissue, &[], 1e-6);
     assert!(report.residual <= 1e-6, "{}", report.residual);
-    assert!(solver.residual_over_all(&shape) <= 2e-6);
+    assert!(tissue.residual_over_all() <= 2e-6);
     let node = |i: u32, j: u32, k: u32| i + 7 * (j + 7 * k);
-    let u = |n: u32| shape.displacement[n as usize];
+    let u = |n: u32| tissue.shape().displacement[n as usize];
     let along = (u(node(3, 3, 17)).z - u(node(3, 3, 9)).z) / (8.0 * 4.0 * MM);
     let across = (u(node(6, 3, 13)).x - u(node(0, 3, 13)).x) / (6.0 * 4.0 * MM);
     let force: f64 = (0..topology.node_count() as u32)
         .filter(|&n| topology.rest(n).z > 99.9 * MM)
-        .map(|n| -solver.force_on(&shape, n).z)
+        .map(|n| -tissue.force_on(n).z)
         .sum();
     let area = (24.0 * MM).powi(2);
     let young = force / area / along;
@@ -92,20 +78,15 @@ fn bar_in_tension_has_young_and_poisson_of_its_material() {
 
 #[test]
 fn tool_forces_balance_the_pinned_nodes() {
-    let (topology, mut solver, mut shape) = slab();
-    let report = press(
-        &topology,
-        &mut solver,
-        &mut shape,
-        tool(23.0 * MM, 25.0 * MM, 2.0 * MM, 8.0 * MM),
-    );
+    let mut tissue = slab();
+    let report = press(&mut tissue, tool(23.0 * MM, 25.0 * MM, 2.0 * MM, 8.0 * MM));
     assert!(report.residual <= 1e-6);
     assert_eq!(report.clamped, 0);
     let on_tool = report.reactions[0].force;
     let mut on_pinned = Vec3::zeros();
-    for node in 0..topology.node_count() as u32 {
-        if topology.is_pinned(node) {
-            on_pinned += solver.force_on(&shape, node);
+    for node in 0..tissue.topology().node_count() as u32 {
+        if tissue.topology().is_pinned(node) {
+            on_pinned += tissue.force_on(node);
         }
     }
     assert!(on_tool.z > 0.05);
@@ -117,32 +98,28 @@ fn tool_forces_balance_the_pinned_nodes() {
 
 #[test]
 fn released_tissue_returns_to_rest() {
-    let (topology, mut solver, mut shape) = slab();
-    press(
-        &topology,
-        &mut solver,
-        &mut shape,
-        tool(23.0 * MM, 25.0 * MM, 2.0 * MM, 8.0 * MM),
-    );
-    settle(&topology, &mut solver, &mut shape, &[], 1e-7);
-    let left = shape
+    let mut tissue = slab();
+    press(&mut tissue, tool(23.0 * MM, 25.0 * MM, 2.0 * MM, 8.0 * MM));
+    settle(&mut tissue, &[], 1e-7);
+    let left = tissue
+        .shape()
         .displacement
         .iter()
         .map(Vec3::norm)
         .fold(0.0, f64::max);
     assert!(left < 1e-4 * MM, "{left}");
-    let idle = solver.step(&topology, &mut shape, &[], Budget::new(10, 1e-6));
+    let idle = tissue.step(&[], Budget::new(10, 1e-6));
     assert_eq!(idle.iterations, 0);
 }
 
 #[test]
 fn press_has_no_hysteresis_and_warm_start_equals_cold_start() {
-    let (topology, mut solver, mut shape) = slab();
+    let mut tissue = slab();
     let shallow = tool(24.0 * MM, 24.0 * MM, 1.0 * MM, 8.0 * MM);
     let deep = tool(24.0 * MM, 24.0 * MM, 2.5 * MM, 8.0 * MM);
-    let before = settle(&topology, &mut solver, &mut shape, &[shallow], 1e-6).reactions[0].force;
-    settle(&topology, &mut solver, &mut shape, &[deep], 1e-6);
-    let after = settle(&topology, &mut solver, &mut shape, &[shallow], 1e-6).reactions[0].force;
+    let before = settle(&mut tissue, &[shallow], 1e-6).reactions[0].force;
+    settle(&mut tissue, &[deep], 1e-6);
+    let after = settle(&mut tissue, &[shallow], 1e-6).reactions[0].force;
     assert!(
         (before - after).norm() < 1e-3 * before.norm(),
         "{before} {after}"
@@ -151,13 +128,8 @@ fn press_has_no_hysteresis_and_warm_start_equals_cold_start() {
 
 #[test]
 fn centred_press_is_mirror_symmetric() {
-    let (topology, mut solver, mut shape) = slab();
-    let report = press(
-        &topology,
-        &mut solver,
-        &mut shape,
-        tool(24.0 * MM, 24.0 * MM, 2.0 * MM, 8.0 * MM),
-    );
+    let mut tissue = slab();
+    let report = press(&mut tissue, tool(24.0 * MM, 24.0 * MM, 2.0 * MM, 8.0 * MM));
     let f = report.reactions[0].force;
     // The diagonals of the surface triangles are not symmetric, so the samples are only nearly so.
     assert!(f.x.abs() < 0.05 * f.z && f.y.abs() < 0.05 * f.z, "{f}");
@@ -172,9 +144,9 @@ fn cube() -> (Topology, Vec<u32>) {
     (topology, disc)
 }
 
-fn lead(topology: &Topology, solver: &mut Solver, shape: &mut Shape, disc: &[u32], depth: f64) {
+fn lead(tissue: &mut Tissue, disc: &[u32], depth: f64) {
     for &node in disc {
-        assert!(solver.hold(topology, shape, node, -Vec3::z() * depth));
+        assert!(tissue.hold(node, -Vec3::z() * depth));
     }
 }
 
@@ -189,10 +161,10 @@ fn off(shape: &Shape, exact: &Shape) -> f64 {
 fn held_nodes_displace_the_rest() {
     let (topology, disc) = cube();
     let led = |iterations: usize| {
-        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
-        lead(&topology, &mut solver, &mut shape, &disc, 0.5 * MM);
-        solver.step(&topology, &mut shape, &[], Budget::new(iterations, 1e-6));
-        shape
+        let mut tissue = Tissue::at_rest(topology.clone());
+        lead(&mut tissue, &disc, 0.5 * MM);
+        tissue.step(&[], Budget::new(iterations, 1e-6));
+        tissue.shape().clone()
     };
     let exact = led(400);
     assert!(off(&led(1), &exact) < 0.25, "{}", off(&led(1), &exact));
@@ -201,11 +173,11 @@ fn held_nodes_displace_the_rest() {
 
 #[test]
 fn two_tools_press_simultaneously() {
-    let (topology, mut solver, mut shape) = slab();
+    let mut tissue = slab();
     let mut other = tool(36.0 * MM, 36.0 * MM, 1.0 * MM, 6.0 * MM);
     other.id = 2;
     let tools = [tool(12.0 * MM, 12.0 * MM, 1.0 * MM, 6.0 * MM), other];
-    let report = settle(&topology, &mut solver, &mut shape, &tools, 1e-6);
+    let report = settle(&mut tissue, &tools, 1e-6);
     assert_eq!(report.reactions.len(), 2);
     let [a, b] = [0, 1].map(|i| report.reactions[i].force.z);
     assert!(a > 0.02 && (a / b - 1.0).abs() < 0.1, "{a} {b}");
@@ -214,7 +186,7 @@ fn two_tools_press_simultaneously() {
 #[test]
 fn same_steps_give_same_bits() {
     let run = || {
-        let (topology, mut solver, mut shape) = slab();
+        let mut tissue = slab();
         for s in 0..12 {
             let t = tool(
                 20.0 * MM + 0.3 * MM * f64::from(s),
@@ -222,9 +194,9 @@ fn same_steps_give_same_bits() {
                 0.2 * MM * f64::from(s),
                 7.0 * MM,
             );
-            solver.step(&topology, &mut shape, &[t], Budget::new(2, 1e-2));
+            tissue.step(&[t], Budget::new(2, 1e-2));
         }
-        shape.hash()
+        tissue.shape().hash()
     };
     assert_eq!(run(), run());
 }

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Tissue, Tool, Topology, Vec3, block};
 use proptest::prelude::*;
 
 const MM: f64 = 1e-3;
 const TOP: f64 = 32.0 * MM;
 
-fn slab() -> (Topology, Solver, Shape) {
+fn slab() -> Tissue {
     let material = Material {
         name: "test".into(),
         young_pa: 10e3,
@@ -19,29 +19,25 @@ fn slab() -> (Topology, Solver, Shape) {
         ..Material::default()
     };
     let topology = Topology::new(Arc::new(block([12, 12, 8], 4.0 * MM, &material, 1)));
-    let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
-    (topology, solver, shape)
+    Tissue::at_rest(topology)
 }
 
 fn tool(x: f64, y: f64, depth: f64, radius: f64) -> Tool {
     Tool::ball(1, Vec3::new(x, y, TOP + radius - depth), radius)
 }
 
-fn force(topology: &Topology, solver: &mut Solver, shape: &mut Shape, tool: Tool) -> Vec3 {
-    solver
-        .step(topology, shape, &[tool], Budget::new(100, 1e-4))
-        .reactions[0]
-        .force
+fn force(tissue: &mut Tissue, tool: Tool) -> Vec3 {
+    tissue.step(&[tool], Budget::new(100, 1e-4)).reactions[0].force
 }
 
 #[test]
 fn force_is_continuous_while_pressing_and_sliding() {
     for radius in [1.0 * MM, 4.0 * MM, 8.0 * MM] {
-        let (topology, mut solver, mut shape) = slab();
+        let mut tissue = slab();
         let mut last = Vec3::zeros();
         for s in 0..=40 {
             let t = tool(23.0 * MM, 25.0 * MM, 0.05 * MM * f64::from(s), radius);
-            let f = force(&topology, &mut solver, &mut shape, t);
+            let f = force(&mut tissue, t);
             assert!(
                 (f - last).norm() < 0.2 * f.norm() + 0.012,
                 "press {radius} {s}: {last} {f}"
@@ -55,7 +51,7 @@ fn force_is_continuous_while_pressing_and_sliding() {
                 2.0 * MM,
                 radius,
             );
-            let f = force(&topology, &mut solver, &mut shape, t);
+            let f = force(&mut tissue, t);
             // The dent under a contact point is a corner of the mesh, which causes a small force change when
             // crossed.
             let bound = if radius < 2.0 * MM { 0.4 } else { 0.12 };
@@ -71,23 +67,18 @@ fn force_is_continuous_while_pressing_and_sliding() {
 
 #[test]
 fn contact_stiffness_predicts_the_next_force() {
-    let (topology, mut solver, mut shape) = slab();
+    let mut tissue = slab();
     let mut report = None;
     for s in 1..=10 {
         let t = tool(23.0 * MM, 25.0 * MM, 0.2 * MM * f64::from(s), 8.0 * MM);
-        report = Some(
-            solver
-                .step(&topology, &mut shape, &[t], Budget::new(100, 1e-5))
-                .reactions[0]
-                .clone(),
-        );
+        report = Some(tissue.step(&[t], Budget::new(100, 1e-5)).reactions[0].clone());
     }
     let reaction = report.unwrap();
     let k = reaction.stiffness;
     assert!((k - k.transpose()).norm() < 1e-9 * k.norm());
     assert!(k.symmetric_eigenvalues().min() > -1e-9 * k.norm());
     let t = tool(23.0 * MM, 25.0 * MM, 2.2 * MM, 8.0 * MM);
-    let f = force(&topology, &mut solver, &mut shape, t);
+    let f = force(&mut tissue, t);
     let foretold = reaction.force - k * (t.centre - reaction.at);
     assert!(
         (f - foretold).norm() < 0.15 * (f - reaction.force).norm() + 0.01 * f.norm(),
@@ -97,19 +88,17 @@ fn contact_stiffness_predicts_the_next_force() {
 
 #[test]
 fn tool_that_starts_deep_inside_is_pushed_out() {
-    let (topology, mut solver, mut shape) = slab();
+    let mut tissue = slab();
     let t = tool(24.0 * MM, 24.0 * MM, 13.0 * MM, 6.0 * MM);
-    let report = solver
-        .step(&topology, &mut shape, &[t], Budget::new(1, 1e-3))
-        .clone();
+    let report = tissue.step(&[t], Budget::new(1, 1e-3)).clone();
     assert!(report.lag_m > 0.0);
-    let f = force(&topology, &mut solver, &mut shape, t);
+    let f = force(&mut tissue, t);
     assert!(f.z > 0.0, "{f}");
 }
 
 #[test]
 fn invalid_tools_are_ignored_and_counted() {
-    let (topology, mut solver, mut shape) = slab();
+    let mut tissue = slab();
     let good = tool(24.0 * MM, 24.0 * MM, 1.0 * MM, 6.0 * MM);
     let mut nan = Tool { id: 2, ..good };
     nan.centre.x = f64::NAN;
@@ -118,37 +107,38 @@ fn invalid_tools_are_ignored_and_counted() {
         radius_m: 0.0,
         ..good
     };
-    let report = solver.step(
-        &topology,
-        &mut shape,
-        &[nan, flat, good, good],
-        Budget::new(20, 1e-3),
-    );
+    let report = tissue.step(&[nan, flat, good, good], Budget::new(20, 1e-3));
     assert_eq!(report.ignored_tools, 3);
     assert_eq!(report.reactions.len(), 1);
-    assert!(shape.displacement.iter().all(|u| u.norm().is_finite()));
+    assert!(
+        tissue
+            .shape()
+            .displacement
+            .iter()
+            .all(|u| u.norm().is_finite())
+    );
 }
 
 #[test]
 fn duplicate_tool_with_invalid_position_changes_nothing() {
     let run = |double: bool| {
-        let (topology, mut solver, mut shape) = slab();
+        let mut tissue = slab();
         for tenth in 0..12 {
             let good = tool(24.0 * MM, 24.0 * MM, 0.1 * MM * f64::from(tenth), 6.0 * MM);
             let mut nowhere = good;
             nowhere.centre.z = f64::NAN;
             let tools = [good, nowhere];
             let tools = &tools[..if double { 2 } else { 1 }];
-            solver.step(&topology, &mut shape, tools, Budget::new(2, 2e-2));
+            tissue.step(tools, Budget::new(2, 2e-2));
         }
-        shape.hash()
+        tissue.shape().hash()
     };
     assert_eq!(run(true), run(false));
 }
 
 #[test]
 fn solver_stops_on_request() {
-    let (topology, mut solver, mut shape) = slab();
+    let mut tissue = slab();
     let mut asked = 0;
     let mut stop = || {
         asked += 1;
@@ -162,10 +152,7 @@ fn solver_stops_on_request() {
     };
     let t = tool(24.0 * MM, 24.0 * MM, 1.0 * MM, 6.0 * MM);
     // The first iteration is unconditional; the second one is allowed by the callback.
-    assert_eq!(
-        solver.step(&topology, &mut shape, &[t], budget).iterations,
-        2
-    );
+    assert_eq!(tissue.step(&[t], budget).iterations, 2);
 }
 
 proptest! {
@@ -176,16 +163,16 @@ proptest! {
         radius in 0.5f64..10.0,
         path in prop::collection::vec((0.0f64..48.0, 0.0f64..48.0, -4.0f64..20.0), 1..10),
     ) {
-        let (topology, mut solver, mut shape) = slab();
+        let mut tissue = slab();
         for (x, y, depth) in path {
             let t = tool(x * MM, y * MM, depth * MM, radius * MM);
-            let report = solver.step(&topology, &mut shape, &[t], Budget::new(3, 1e-2)).clone();
+            let report = tissue.step(&[t], Budget::new(3, 1e-2)).clone();
             for reaction in &report.reactions {
                 prop_assert!(reaction.force.norm().is_finite());
                 // The bedding of all nodes within reach, compressed by the whole radius.
                 prop_assert!(reaction.force.norm() < 1000.0);
             }
-            prop_assert!(shape.displacement.iter().all(|u| u.norm() < 1.0));
+            prop_assert!(tissue.shape().displacement.iter().all(|u| u.norm() < 1.0));
         }
     }
 }

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use palpate_tissue::{
-    BladePoint, Budget, CutStroke, Material, Shape, Solver, Tool, Topology, Vec3, block, cut,
+    BladePoint, Budget, CutStroke, Material, Tissue, Tool, Topology, Vec3, block, cut,
 };
 
 const MM: f64 = 1e-3;
@@ -47,7 +47,7 @@ fn parted(mut topology: Topology, crossing: bool) -> Topology {
 
 /// Iterations of a press in steps beside the middle, each to `tolerance`.
 fn iterations(topology: &Topology, tolerance: f64, step: f64, steps: usize) -> usize {
-    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let mut sum = 0;
     for s in 1..=steps {
         let depth = step * s as f64;
@@ -57,7 +57,7 @@ fn iterations(topology: &Topology, tolerance: f64, step: f64, steps: usize) -> u
             RADIUS,
         );
         let budget = Budget::new(400, tolerance);
-        let report = solver.step(topology, &mut shape, &[tool], budget);
+        let report = tissue.step(&[tool], budget);
         assert!(report.residual <= tolerance && !report.rolled_back);
         sum += report.iterations;
     }
@@ -86,11 +86,9 @@ fn cut_block_takes_at_most_half_more_iterations() {
 #[test]
 fn solver_updated_by_a_cut_agrees_with_a_new_one() {
     let fat = Material::built_in("fat").unwrap();
-    let mut topology = Topology::new(Arc::new(block([14, 14, 8], 0.004, &fat, 1)));
-    let mut shape = Shape::rest(&topology);
-    let mut solver = Solver::new(&topology);
+    let mut tissue = Tissue::new(Arc::new(block([14, 14, 8], 0.004, &fat, 1)));
     let tool = Tool::ball(1, Vec3::new(0.022, 0.028, 0.032 + RADIUS - 0.003), RADIUS);
-    solver.step(&topology, &mut shape, &[tool], Budget::new(60, 1e-4));
+    tissue.step(&[tool], Budget::new(60, 1e-4));
     let stroke = CutStroke {
         points: (0..8)
             .map(|i| BladePoint {
@@ -101,25 +99,22 @@ fn solver_updated_by_a_cut_agrees_with_a_new_one() {
             .collect(),
         width_m: 0.0,
     };
-    let outcome = cut(&mut topology, &stroke).unwrap();
+    let outcome = tissue.cut(&stroke).unwrap();
     assert!(!outcome.doubled.is_empty());
-    shape.follow(&topology, &outcome);
-    solver.follow(&topology, &outcome.touched);
     let mut followed = 0.0;
     for _ in 0..6 {
-        let report = solver.step(&topology, &mut shape, &[tool], Budget::new(100, 1e-6));
+        let report = tissue.step(&[tool], Budget::new(100, 1e-6));
         assert!(!report.rolled_back);
         followed = report.reactions[0].force.z;
     }
-    assert!(solver.residual_over_all(&shape) < 1e-4);
+    assert!(tissue.residual_over_all() < 1e-4);
 
-    let mut fresh_shape = Shape::rest(&topology);
-    let mut fresh = Solver::new(&topology);
+    let mut fresh = Tissue::at_rest(Arc::clone(tissue.topology()));
     let mut cold = 0.0;
     for tenth in 0..=30 {
         let mut tool = tool;
         tool.centre.z += 0.003 - f64::from(tenth) * 1e-4;
-        let report = fresh.step(&topology, &mut fresh_shape, &[tool], Budget::new(100, 1e-6));
+        let report = fresh.step(&[tool], Budget::new(100, 1e-6));
         cold = report.reactions[0].force.z;
     }
     assert!(

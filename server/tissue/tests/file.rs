@@ -6,7 +6,8 @@ use std::io::{Read, Write};
 use std::sync::Arc;
 
 use palpate_tissue::file::MODEL_FORMAT;
-use palpate_tissue::{FibreAxis, Material, Model, ModelFile, Topology, Vec3, block};
+use palpate_tissue::file::ModelFile;
+use palpate_tissue::{FibreAxis, Material, Model, Topology, Vec3, block};
 use proptest::prelude::*;
 
 fn rubber() -> Material {

@@ -5,8 +5,7 @@
 use std::sync::Arc;
 
 use palpate_tissue::{
-    BladePoint, Budget, CutOutcome, CutStroke, Material, Shape, Solver, Tool, Topology, Vec3,
-    block, cut,
+    BladePoint, Budget, CutStroke, Material, Tissue, Tool, Topology, Vec3, block, cut,
 };
 
 const MM: f64 = 1e-3;
@@ -27,10 +26,10 @@ fn heavy(cells: [usize; 3], gravity: [f64; 3]) -> Topology {
 }
 
 /// Equilibrium under gravity without tools.
-fn hanging(topology: &Topology) -> (Solver, Shape) {
-    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
-    solver.step(topology, &mut shape, &[], Budget::new(1, 1e-3));
-    (solver, shape)
+fn hanging(topology: &Topology) -> Tissue {
+    let mut tissue = Tissue::at_rest(topology.clone());
+    tissue.step(&[], Budget::new(1, 1e-3));
+    tissue
 }
 
 fn nodes(topology: &Topology) -> impl Iterator<Item = u32> + use<> {
@@ -38,10 +37,11 @@ fn nodes(topology: &Topology) -> impl Iterator<Item = u32> + use<> {
 }
 
 /// Force on the pinned nodes, in N.
-fn carried(topology: &Topology, solver: &Solver, shape: &Shape) -> Vec3 {
+fn carried(tissue: &Tissue) -> Vec3 {
+    let topology = tissue.topology();
     nodes(topology)
         .filter(|&n| topology.is_pinned(n))
-        .map(|n| solver.force_on(shape, n))
+        .map(|n| tissue.force_on(n))
         .sum()
 }
 
@@ -51,7 +51,7 @@ fn weight(topology: &Topology) -> Vec3 {
 }
 
 /// A stroke along y at `x`, from `bottom` through the top; the far `uncut` along y stays uncut.
-fn slit(topology: &mut Topology, x: f64, bottom: f64, uncut: f64) -> CutOutcome {
+fn slit(topology: &Topology, x: f64, bottom: f64, uncut: f64) -> CutStroke {
     let far = nodes(topology)
         .map(|n| topology.rest(n).y)
         .fold(0.0, f64::max);
@@ -62,11 +62,10 @@ fn slit(topology: &mut Topology, x: f64, bottom: f64, uncut: f64) -> CutOutcome 
         axis: Vec3::z(),
         depth_m: 0.5,
     });
-    let stroke = CutStroke {
+    CutStroke {
         points: points.collect(),
         width_m: 0.0,
-    };
-    cut(topology, &stroke).unwrap()
+    }
 }
 
 fn press(k: usize, top: f64, middle: f64) -> Tool {
@@ -84,13 +83,13 @@ fn column_stretches_under_its_weight_like_a_bar() {
     // Held at its lowest layer with gravity upwards, as if it hung from a ceiling.
     let gravity = 1.0;
     let topology = heavy([6, 6, 40], [0.0, 0.0, gravity]);
-    let (solver, shape) = hanging(&topology);
-    let sag = solver.sag().unwrap();
+    let tissue = hanging(&topology);
+    let sag = tissue.sag().unwrap();
     assert!(sag.residual <= 1e-4, "{sag:?}");
     let top = 40.0 * SPACING;
     let end: Vec<f64> = nodes(&topology)
         .filter(|&n| topology.rest(n).z > top - 0.1 * SPACING)
-        .map(|n| shape.displacement[n as usize].z)
+        .map(|n| tissue.shape().displacement[n as usize].z)
         .collect();
     let mean = end.iter().sum::<f64>() / end.len() as f64;
     let length = 39.0 * SPACING;
@@ -108,16 +107,17 @@ fn pinned_nodes_carry_all_weight() {
         let mut topology = heavy([10, 10, 8], gravity);
         for cuts in 0..2 {
             if cuts == 1 {
-                slit(&mut topology, 18.3 * MM, 10.0 * MM, 0.0);
+                let stroke = slit(&topology, 18.3 * MM, 10.0 * MM, 0.0);
+                cut(&mut topology, &stroke).unwrap();
             }
-            let (mut solver, shape) = hanging(&topology);
-            let (carried, weight) = (carried(&topology, &solver, &shape), weight(&topology));
+            let mut tissue = hanging(&topology);
+            let (carried, weight) = (carried(&tissue), weight(&topology));
             assert!(
                 (carried - weight).norm() < 1e-3 * weight.norm(),
                 "{carried:?} N instead of {weight:?}, {cuts} cuts, {:?}",
-                solver.sag()
+                tissue.sag()
             );
-            assert!(solver.residual_over_all(&shape) < 2e-4);
+            assert!(tissue.residual_over_all() < 2e-4);
         }
     }
 }
@@ -125,11 +125,11 @@ fn pinned_nodes_carry_all_weight() {
 #[test]
 fn released_tissue_returns_to_the_same_sag_bit_for_bit() {
     let topology = heavy([16, 16, 8], [0.0, 0.0, -40.0]);
-    let (mut solver, mut shape) = hanging(&topology);
-    let (home, sag) = (shape.hash(), solver.sag().unwrap().displaced_m);
+    let mut tissue = hanging(&topology);
+    let (home, sag) = (tissue.shape().hash(), tissue.sag().unwrap().displaced_m);
     assert!(sag > 1.0 * MM, "{sag}");
     let at_top = nodes(&topology).filter(|&n| topology.rest(n).z > 31.9 * MM);
-    let highest = at_top.map(|n| shape.position(&topology, n).z);
+    let highest = at_top.map(|n| tissue.shape().position(&topology, n).z);
     let top = highest.fold(0.0, f64::max);
     let mut forces = [Vec::new(), Vec::new()];
     for forces in &mut forces {
@@ -139,18 +139,18 @@ fn released_tissue_returns_to_the_same_sag_bit_for_bit() {
                 ..Budget::new(2, 0.03)
             };
             let tool = press(k, top, 32.0 * MM);
-            let report = solver.step(&topology, &mut shape, &[tool], budget);
+            let report = tissue.step(&[tool], budget);
             forces.push(report.reactions.first().map_or(0.0, |r| r.force.z));
         }
-        assert_eq!(shape.hash(), home);
+        assert_eq!(tissue.shape().hash(), home);
     }
     assert_eq!(forces[0], forces[1]);
     // The tick forces agree with those of a converged press.
-    let (mut exact, mut shape) = hanging(&topology);
+    let mut exact = hanging(&topology);
     let most = forces[0].iter().copied().fold(0.0, f64::max);
     for k in 0..=12 {
         let tool = press(k, top, 32.0 * MM);
-        let report = exact.step(&topology, &mut shape, &[tool], Budget::new(100, 1e-5));
+        let report = exact.step(&[tool], Budget::new(100, 1e-5));
         let force = report.reactions.first().map_or(0.0, |r| r.force.z);
         assert!(
             (force - forces[0][k]).abs() < 0.05 * most,
@@ -162,33 +162,33 @@ fn released_tissue_returns_to_the_same_sag_bit_for_bit() {
 
 #[test]
 fn flap_sag_is_equal_for_updated_and_new_solvers() {
-    let mut topology = heavy([10, 10, 8], [-9.81, 0.0, 0.0]);
-    let (mut solver, mut shape) = hanging(&topology);
-    let mut follower = solver.follower();
-    let (mut other, mut beside) = hanging(&topology);
-    let before = solver.sag().unwrap().displaced_m;
-    let outcome = slit(&mut topology, 18.3 * MM, 10.0 * MM, 0.0);
-    shape.follow(&topology, &outcome);
-    solver.follow(&topology, &outcome.touched);
-    solver.step(&topology, &mut shape, &[], Budget::new(1, 1e-3));
-    follower.follow(&topology, &outcome.touched);
-    beside.follow(&topology, &outcome);
-    other.succeed(&topology, follower.successor(&topology));
-    other.step(&topology, &mut beside, &[], Budget::new(1, 1e-3));
-    assert_eq!(shape.hash(), beside.hash());
-    let after = solver.sag().unwrap();
+    let topology = heavy([10, 10, 8], [-9.81, 0.0, 0.0]);
+    let mut tissue = hanging(&topology);
+    let (mut preparer, mut other) = (tissue.preparer(), hanging(&topology));
+    let before = tissue.sag().unwrap().displaced_m;
+    let stroke = slit(&topology, 18.3 * MM, 10.0 * MM, 0.0);
+    tissue.cut(&stroke).unwrap();
+    tissue.step(&[], Budget::new(1, 1e-3));
+    other.succeed(preparer.prepare(&stroke).unwrap());
+    other.step(&[], Budget::new(1, 1e-3));
+    assert_eq!(tissue.shape().hash(), other.shape().hash());
+    let after = tissue.sag().unwrap();
     assert!(after.displaced_m > 1.1 * before, "{before} {after:?}");
     // A solver created on the cut tissue agrees within the residual.
-    let (_, afresh) = hanging(&topology);
-    let apart = shape.displacement.iter().zip(&afresh.displacement);
+    let afresh = hanging(tissue.topology());
+    let apart = tissue
+        .shape()
+        .displacement
+        .iter()
+        .zip(&afresh.shape().displacement);
     let apart = apart.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
     assert!(apart < 0.01 * after.displaced_m, "{apart} {after:?}");
 }
 
 #[test]
 fn detached_piece_has_no_weight_and_stays() {
-    let mut topology = heavy([8, 8, 8], [0.0, 0.0, -9.81]);
-    let (mut solver, mut shape) = hanging(&topology);
+    let topology = heavy([8, 8, 8], [0.0, 0.0, -9.81]);
+    let mut tissue = hanging(&topology);
     // A level cut through the whole block, above the base.
     let points = (0..=20).map(|i| BladePoint {
         tip: Vec3::new(
@@ -203,17 +203,16 @@ fn detached_piece_has_no_weight_and_stays() {
         points: points.collect(),
         width_m: 0.0,
     };
-    let outcome = cut(&mut topology, &stroke).unwrap();
-    assert_eq!(topology.components(), 2);
-    shape.follow(&topology, &outcome);
-    solver.follow(&topology, &outcome.touched);
-    let report = solver.step(&topology, &mut shape, &[], Budget::new(50, 1e-3));
+    tissue.cut(&stroke).unwrap();
+    assert_eq!(tissue.topology().components(), 2);
+    let report = tissue.step(&[], Budget::new(50, 1e-3));
     assert!(!report.rolled_back);
     // The base carries only the tissue still connected to it.
     let mut left = weight(&topology) * (17.7 / 32.0);
-    left.z -= carried(&topology, &solver, &shape).z;
+    left.z -= carried(&tissue).z;
     assert!(left.norm() < 0.15 * weight(&topology).norm(), "{left:?}");
-    let farthest = shape
+    let farthest = tissue
+        .shape()
         .displacement
         .iter()
         .map(Vec3::norm)
@@ -226,7 +225,7 @@ fn sag_is_bit_equal_on_any_thread_count() {
     let topology = heavy([24, 24, 12], [1.0, 2.0, -9.0]);
     let on = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        pool.unwrap().install(|| hanging(&topology).1.hash())
+        pool.unwrap().install(|| hanging(&topology).shape().hash())
     };
     let one = on(1);
     assert_eq!([one; 2], [on(2), on(4)]);

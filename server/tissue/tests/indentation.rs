@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use palpate_tissue::{Budget, Material, Reaction, Shape, Solver, Tool, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Reaction, Tissue, Tool, Topology, Vec3, block};
 
 const MM: f64 = 1e-3;
 const SPACING: f64 = 3.0 * MM;
@@ -11,9 +11,7 @@ const CELLS: [usize; 3] = [32, 32, 20];
 const RADIUS: f64 = 24.0 * MM;
 
 struct Bench {
-    topology: Topology,
-    solver: Solver,
-    shape: Shape,
+    tissue: Tissue,
 }
 
 impl Bench {
@@ -28,12 +26,8 @@ impl Bench {
         let mut model = block(CELLS, SPACING, &material, 1);
         model.gravity = [0.0, 0.0, gravity];
         let topology = Topology::new(Arc::new(model));
-        let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
-        Self {
-            topology,
-            solver,
-            shape,
-        }
+        let tissue = Tissue::at_rest(topology);
+        Self { tissue }
     }
 
     /// The converged reaction on a ball `depth` m below the surface at rest, `x` m from the middle.
@@ -42,9 +36,7 @@ impl Bench {
         let centre = Vec3::new(middle + x, middle, top + RADIUS - depth);
         let tool = Tool::ball(1, centre, RADIUS);
         let budget = Budget::new(400, 1e-5);
-        let report = self
-            .solver
-            .step(&self.topology, &mut self.shape, &[tool], budget);
+        let report = self.tissue.step(&[tool], budget);
         report.reactions[0].clone()
     }
 
@@ -89,7 +81,10 @@ fn sag_is_not_counted_as_indentation() {
     let weightless = Bench::new(0.0).press(0.0, 3.0 * MM);
     let mut heavy = Bench::new(-9.81);
     // The surface is lower by the sag, so the tool follows it.
-    let sag = -heavy.solver.sag_of(middle_of_the_top(&heavy.topology)).z;
+    let sag = -heavy
+        .tissue
+        .sag_of(middle_of_the_top(heavy.tissue.topology()))
+        .z;
     assert!(sag > 0.3 * MM, "{sag} m");
     let sagged = heavy.press(0.0, 3.0 * MM + sag);
     let [a, b] = [&weightless, &sagged].map(|r| r.contact_patches[0].indentation_m);

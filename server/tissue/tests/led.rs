@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Shape, Tissue, Tool, Topology, Vec3, block};
 
 const SPACING: f64 = 5e-3;
 
@@ -21,18 +21,18 @@ fn disc(topology: &Topology, radius: f64) -> Vec<u32> {
 }
 
 /// Moves nodes to `to` relative to rest.
-fn lead(topology: &Topology, solver: &mut Solver, shape: &mut Shape, nodes: &[u32], to: Vec3) {
+fn lead(tissue: &mut Tissue, nodes: &[u32], to: Vec3) {
     for &n in nodes {
-        assert!(solver.hold(topology, shape, n, to));
+        assert!(tissue.hold(n, to));
     }
 }
 
 fn converged(topology: &Topology, nodes: &[u32], to: Vec3) -> Shape {
-    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
-    lead(topology, &mut solver, &mut shape, nodes, to);
-    solver.step(topology, &mut shape, &[], Budget::new(200, 1e-6));
-    assert!(solver.report().residual <= 1e-6);
-    shape
+    let mut tissue = Tissue::at_rest(topology.clone());
+    lead(&mut tissue, nodes, to);
+    tissue.step(&[], Budget::new(200, 1e-6));
+    assert!(tissue.report().residual <= 1e-6);
+    tissue.shape().clone()
 }
 
 fn error(shape: &Shape, exact: &Shape) -> f64 {
@@ -49,16 +49,16 @@ fn error(shape: &Shape, exact: &Shape) -> f64 {
 fn uneven_and_reversing_motion_is_followed() {
     let topology = cube(&Material::default());
     let nodes = disc(&topology, 13e-3);
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let depths = [
         0.2, 0.4, 0.8, 1.2, 1.6, 1.6001, 2.0, 2.1, 1.9, 1.7, 1.0, 0.3,
     ];
     for depth in depths {
         let to = Vec3::new(0.3e-3, 0.0, -1e-3) * depth;
-        lead(&topology, &mut solver, &mut shape, &nodes, to);
-        let report = solver.step(&topology, &mut shape, &[], Budget::new(100, 1e-3));
+        lead(&mut tissue, &nodes, to);
+        let report = tissue.step(&[], Budget::new(100, 1e-3));
         assert!(!report.rolled_back && report.residual <= 1e-3);
-        let off = error(&shape, &converged(&topology, &nodes, to));
+        let off = error(tissue.shape(), &converged(&topology, &nodes, to));
         assert!(off < 0.01, "{off} at {depth} mm");
     }
 }
@@ -71,18 +71,22 @@ fn held_node_stays_while_other_nodes_move() {
         .into_iter()
         .find(|n| !nodes.contains(n))
         .unwrap();
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let mut at = Vec3::zeros();
     for step in 1..=8 {
         let to = Vec3::z() * (-2e-4 * f64::from(step));
-        lead(&topology, &mut solver, &mut shape, &nodes, to);
+        lead(&mut tissue, &nodes, to);
         if step == 5 {
-            at = shape.displacement[other as usize];
-            assert!(solver.hold(&topology, &mut shape, other, at));
+            at = tissue.shape().displacement[other as usize];
+            assert!(tissue.hold(other, at));
         }
-        solver.step(&topology, &mut shape, &[], Budget::new(100, 1e-2));
+        tissue.step(&[], Budget::new(100, 1e-2));
         if step >= 5 {
-            assert_eq!(shape.displacement[other as usize], at, "step {step}");
+            assert_eq!(
+                tissue.shape().displacement[other as usize],
+                at,
+                "step {step}"
+            );
         }
     }
 }
@@ -96,10 +100,10 @@ fn stiff_stretch_limit_converges_below_and_above_the_limit() {
         };
         let topology = cube(&material);
         let top = disc(&topology, 1.0);
-        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        let mut tissue = Tissue::at_rest(topology.clone());
         let to = Vec3::z() * (stretch * 10.0 * SPACING);
-        lead(&topology, &mut solver, &mut shape, &top, to);
-        let report = solver.step(&topology, &mut shape, &[], Budget::new(300, 1e-4));
+        lead(&mut tissue, &top, to);
+        let report = tissue.step(&[], Budget::new(300, 1e-4));
         assert!(!report.rolled_back && report.residual <= 1e-4, "{report:?}");
     }
 }
@@ -111,15 +115,15 @@ fn tool_jumping_into_held_tissue_gets_the_converged_force() {
     let tool = Tool::ball(1, Vec3::new(10e-3, 10e-3, 50e-3 + 8e-3 - 2e-3), 8e-3);
     let to = Vec3::z() * -1e-3;
     let press = |steps: usize, budget: Budget<'static>| {
-        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
-        lead(&topology, &mut solver, &mut shape, &nodes, to);
-        solver.step(&topology, &mut shape, &[], Budget::new(100, 1e-3));
+        let mut tissue = Tissue::at_rest(topology.clone());
+        lead(&mut tissue, &nodes, to);
+        tissue.step(&[], Budget::new(100, 1e-3));
         let mut budget = Some(budget);
         for _ in 0..steps {
             let budget = budget.take().unwrap_or(Budget::new(1, 1e-3));
-            solver.step(&topology, &mut shape, &[tool], budget);
+            tissue.step(&[tool], budget);
         }
-        solver.report().reactions[0].force
+        tissue.report().reactions[0].force
     };
     let exact = press(1, Budget::new(300, 1e-5));
     let found = press(12, Budget::new(1, 1e-3));

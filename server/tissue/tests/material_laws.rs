@@ -5,9 +5,7 @@
 
 use std::sync::Arc;
 
-use palpate_tissue::{
-    Budget, FibreAxis, Material, Model, Shape, Solver, Tool, Topology, Vec3, block,
-};
+use palpate_tissue::{Budget, FibreAxis, Material, Model, Tissue, Tool, Topology, Vec3, block};
 
 const MM: f64 = 1e-3;
 const SPACING: f64 = 4.0 * MM;
@@ -34,8 +32,8 @@ fn held(
     topology: &Topology,
     strain: f64,
     field: impl Fn(u32, Vec3) -> Option<Vec3>,
-) -> (Solver, Shape, Vec<u32>) {
-    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
+) -> (Tissue, Vec<u32>) {
+    let mut tissue = Tissue::at_rest(topology.clone());
     let mut nodes = Vec::new();
     let steps = (strain.abs() / STRAIN_STEP).ceil().max(1.0) as usize;
     for step in 1..=steps {
@@ -43,25 +41,25 @@ fn held(
         nodes.clear();
         for node in 0..topology.node_count() as u32 {
             if let Some(u) = field(node, topology.rest(node)) {
-                assert!(solver.hold(topology, &mut shape, node, u * now));
+                assert!(tissue.hold(node, u * now));
                 nodes.push(node);
             }
         }
-        let report = solver.step(topology, &mut shape, &[], Budget::new(300, TOLERANCE));
+        let report = tissue.step(&[], Budget::new(300, TOLERANCE));
         assert!(!report.rolled_back, "blown up at a strain of {now}");
         assert!(report.residual <= TOLERANCE, "residual {}", report.residual);
     }
-    (solver, shape, nodes)
+    (tissue, nodes)
 }
 
 /// Work of the held nodes per unit of strain when all of the surface follows u = e z ẑ.
 fn confined_work(topology: &Topology, strain: f64) -> f64 {
-    let (solver, shape, nodes) = held(topology, strain, |node, p| {
+    let (tissue, nodes) = held(topology, strain, |node, p| {
         topology.on_boundary(node).then_some(Vec3::z() * p.z)
     });
     nodes
         .iter()
-        .map(|&n| -solver.force_on(&shape, n).z * topology.rest(n).z)
+        .map(|&n| -tissue.force_on(n).z * topology.rest(n).z)
         .sum()
 }
 
@@ -115,20 +113,20 @@ fn young(model: Model, strain: f64) -> f64 {
     let topology = Topology::new(Arc::new(model));
     let points = || (0..topology.node_count() as u32).map(|n| topology.rest(n));
     let high = points().fold(Vec3::repeat(f64::MIN), |a, p| a.sup(&p));
-    let (solver, shape, nodes) = held(&topology, strain, |_, p| {
+    let (tissue, nodes) = held(&topology, strain, |_, p| {
         let end = p.z < 0.01 * MM || p.z > high.z - 0.01 * MM;
         end.then_some(Vec3::z() * p.z)
     });
     let pull: f64 = nodes
         .iter()
         .filter(|&&n| topology.rest(n).z > 0.5 * high.z)
-        .map(|&n| -solver.force_on(&shape, n).z)
+        .map(|&n| -tissue.force_on(n).z)
         .sum();
     let (mut xx, mut xy, mut x, mut y, mut n) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for node in 0..topology.node_count() as u32 {
         let a = topology.rest(node).z;
         if (a - 0.5 * high.z).abs() < 0.25 * high.z {
-            let b = shape.displacement[node as usize].z;
+            let b = tissue.shape().displacement[node as usize].z;
             (xx, xy, x, y, n) = (xx + a * a, xy + a * b, x + a, y + b, n + 1.0);
         }
     }
@@ -180,7 +178,7 @@ fn pressed(spacing: f64, depth: f64) -> f64 {
         1,
     );
     let topology = Topology::new(Arc::new(model));
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let radius = 8.0 * MM;
     let steps = (depth / (0.5 * MM)).round() as usize;
     let mut force = 0.0;
@@ -191,7 +189,7 @@ fn pressed(spacing: f64, depth: f64) -> f64 {
             Vec3::new(24.0 * MM, 24.0 * MM, 32.0 * MM + spacing + radius - depth),
             radius,
         );
-        let report = solver.step(&topology, &mut shape, &[tool], Budget::new(300, TOLERANCE));
+        let report = tissue.step(&[tool], Budget::new(300, TOLERANCE));
         assert!(report.residual <= TOLERANCE, "residual {}", report.residual);
         force = report.reactions[0].force.z;
     }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Tissue, Tool, Topology, Vec3, block};
 
 const MM: f64 = 1e-3;
 const RADIUS: f64 = 8.0 * MM;
@@ -62,14 +62,14 @@ fn press(
     iterations: usize,
     tolerance: f64,
 ) -> Vec<f64> {
-    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     at.iter()
         .map(|&k| {
             let budget = Budget {
                 near,
                 ..Budget::new(iterations, tolerance)
             };
-            let report = solver.step(topology, &mut shape, &[tool(k)], budget);
+            let report = tissue.step(&[tool(k)], budget);
             report.reactions[0].force.z
         })
         .collect()
@@ -120,30 +120,27 @@ fn missed_ticks_cause_no_force_peaks() {
 #[test]
 fn node_with_invalid_position_is_reset_without_delay() {
     let topology = slab(true);
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
-    let mut step = |k: usize, shape: &mut Shape, lost: Option<u32>| {
-        if let Some(node) = lost {
-            shape.displacement[node as usize].y = f64::NAN;
-            solver.disturb(shape, &[node]);
-        }
+    let mut tissue = Tissue::at_rest(topology.clone());
+    let step = |k: usize, tissue: &mut Tissue| {
         let budget = Budget {
             near: true,
             ..Budget::new(2, 0.03)
         };
-        let report = solver.step(&topology, shape, &[tool(k)], budget);
+        let report = tissue.step(&[tool(k)], budget);
         (report.rolled_back, report.reactions[0].force.z)
     };
     for k in 0..10 {
-        assert!(!step(k, &mut shape, None).0);
+        assert!(!step(k, &mut tissue).0);
     }
     let lost = (0..topology.node_count() as u32)
-        .rfind(|&n| shape.displacement[n as usize].norm() > MM)
+        .rfind(|&n| tissue.shape().displacement[n as usize].norm() > MM)
         .unwrap();
-    assert!(step(10, &mut shape, Some(lost)).0);
+    tissue.displace(&[(lost, Vec3::y() * f64::NAN)]);
+    assert!(step(10, &mut tissue).0);
     for k in 11..30 {
-        step(k, &mut shape, None);
+        step(k, &mut tissue);
     }
-    let (rolled_back, force) = step(30, &mut shape, None);
+    let (rolled_back, force) = step(30, &mut tissue);
     let whole = press(
         &topology,
         tool,
@@ -154,7 +151,13 @@ fn node_with_invalid_position_is_reset_without_delay() {
     );
     let error = force / whole.last().unwrap() - 1.0;
     assert!(!rolled_back && error.abs() < 0.1, "{error}");
-    assert!(shape.displacement.iter().all(|u| u.norm().is_finite()));
+    assert!(
+        tissue
+            .shape()
+            .displacement
+            .iter()
+            .all(|u| u.norm().is_finite())
+    );
 }
 
 #[test]
@@ -181,14 +184,14 @@ fn fine_tissue_tracks_a_deep_release_without_suction() {
 #[test]
 fn press_after_release_is_bit_equal_to_the_first() {
     let topology = slab(true);
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let mut press = || -> Vec<u64> {
         let tick = |k: usize| {
             let budget = Budget {
                 near: true,
                 ..Budget::new(1, 0.03)
             };
-            let report = solver.step(&topology, &mut shape, &[tool(k)], budget);
+            let report = tissue.step(&[tool(k)], budget);
             report.reactions[0].force.z.to_bits()
         };
         (1..=TICKS).map(tick).collect()
@@ -196,7 +199,13 @@ fn press_after_release_is_bit_equal_to_the_first() {
     let first = press();
     assert!(f64::from_bits(first[20]) > 0.1);
     assert_eq!(press(), first);
-    assert!(shape.displacement.iter().all(|u| *u == Vec3::zeros()));
+    assert!(
+        tissue
+            .shape()
+            .displacement
+            .iter()
+            .all(|u| *u == Vec3::zeros())
+    );
 }
 
 #[test]
@@ -207,21 +216,21 @@ fn tool_below_the_rest_surface_waits_for_recovering_tissue() {
         centre: Vec3::new(33.0 * MM, 30.5 * MM, 32.0 * MM + RADIUS - depth * MM),
         ..tool(0)
     };
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let mut step = |depth: f64| {
         let budget = Budget {
             near: true,
             ..Budget::new(1, 0.03)
         };
-        let report = solver.step(&topology, &mut shape, &[at(depth)], budget);
+        let report = tissue.step(&[at(depth)], budget);
         report.reactions[0].force.z
     };
     for k in 0..25 {
         step(0.4 * f64::from(k));
     }
     let forces: Vec<f64> = (0..40).map(|k| step(5.0 + 1e-6 * f64::from(k))).collect();
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
-    let report = solver.step(&topology, &mut shape, &[at(5.0)], Budget::new(200, 1e-4));
+    let mut tissue = Tissue::at_rest(topology.clone());
+    let report = tissue.step(&[at(5.0)], Budget::new(200, 1e-4));
     let exact = report.reactions[0].force.z;
     assert!(
         forces.iter().all(|f| *f < 2.0 * exact),

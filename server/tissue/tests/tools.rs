@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use nalgebra::UnitQuaternion;
 use palpate_tissue::{
-    BladePoint, Budget, ContactPatch, CutStroke, Form, Material, Reaction, Shape, Solver, Tool,
-    Topology, Vec3, block, cut,
+    BladePoint, Budget, ContactPatch, CutStroke, Form, Material, Reaction, Tissue, Tool, Topology,
+    Vec3, block, cut,
 };
 use proptest::prelude::*;
 
@@ -26,28 +26,20 @@ fn material() -> Material {
 }
 
 struct Bench {
-    topology: Topology,
-    solver: Solver,
-    shape: Shape,
+    tissue: Tissue,
 }
 
 impl Bench {
     fn new(cells: [usize; 3]) -> Self {
         let topology = Topology::new(Arc::new(block(cells, D, &material(), 1)));
-        let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
-        Self {
-            topology,
-            solver,
-            shape,
-        }
+        let tissue = Tissue::at_rest(topology);
+        Self { tissue }
     }
 
     /// The converged reaction on one tool.
     fn press(&mut self, tool: Tool) -> Reaction {
         let budget = Budget::new(400, 1e-5);
-        let report = self
-            .solver
-            .step(&self.topology, &mut self.shape, &[tool], budget);
+        let report = self.tissue.step(&[tool], budget);
         assert_eq!(report.ignored_tools, 0);
         report.reactions[0].clone()
     }
@@ -278,12 +270,7 @@ fn invalid_tool_forms_are_ignored_and_counted() {
     for form in bad {
         let tool = Tool { form, ..ball };
         assert!(!tool.is_sound());
-        let report = bench.solver.step(
-            &bench.topology,
-            &mut bench.shape,
-            &[tool],
-            Budget::new(3, 1e-3),
-        );
+        let report = bench.tissue.step(&[tool], Budget::new(3, 1e-3));
         assert_eq!((report.ignored_tools, report.reactions.len()), (1, 0));
     }
 }
@@ -421,12 +408,8 @@ fn blade_in_a_wound_has_the_friction_of_each_layer() {
         width_m: 0.0,
     };
     cut(&mut topology, &stroke).expect("a cut right through");
-    let (solver, shape) = (Solver::new(&topology), Shape::rest(&topology));
-    let mut bench = Bench {
-        topology,
-        solver,
-        shape,
-    };
+    let tissue = Tissue::at_rest(topology);
+    let mut bench = Bench { tissue };
     // A plate on edge, 3 mm thick, lowered into the wound; half of it in each layer.
     let (radius, half) = (1.5 * MM, 9.0 * MM);
     let tool = |depth: f64| Tool {

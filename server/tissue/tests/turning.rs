@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use palpate_tissue::{Budget, Material, Model, RegionId, Shape, Solver, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Model, RegionId, Shape, Tissue, Topology, Vec3, block};
 
 const MM: f64 = 1e-3;
 const SPACING: f64 = 4.0 * MM;
@@ -33,15 +33,15 @@ fn around_a_bone() -> Topology {
 
 /// The shape after a number of iterations when a strip in the middle of one side is pushed along it.
 fn turned(topology: &Topology, iterations: usize) -> Shape {
-    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     for node in 0..topology.node_count() as u32 {
         let at = topology.rest(node);
         if at.x < 0.1 * MM && (at.y - 40.0 * MM).abs() < 5.0 * MM {
-            solver.hold(topology, &mut shape, node, Vec3::y() * 0.1 * MM);
+            tissue.hold(node, Vec3::y() * 0.1 * MM);
         }
     }
-    solver.step(topology, &mut shape, &[], Budget::new(iterations, 1e-7));
-    shape
+    tissue.step(&[], Budget::new(iterations, 1e-7));
+    tissue.shape().clone()
 }
 
 #[test]

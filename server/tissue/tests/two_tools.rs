@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use palpate_tissue::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Tissue, Tool, Topology, Vec3, block};
 
 const MM: f64 = 1e-3;
 const SPACING: f64 = 4.0 * MM;
@@ -38,10 +38,10 @@ fn hand() -> Budget<'static> {
 #[test]
 fn force_converges_after_another_tool_is_released() {
     let topology = topology();
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let mut step = |gentle: f64, deep: f64| {
         let tools = [ball(1, -14.0 * MM, gentle), ball(2, 14.0 * MM, deep)];
-        let report = solver.step(&topology, &mut shape, &tools, hand());
+        let report = tissue.step(&tools, hand());
         report.reactions[0].force
     };
     // Both press, one three times as deep; it then withdraws at 100 mm/s.
@@ -57,9 +57,9 @@ fn force_converges_after_another_tool_is_released() {
     for _ in 0..100 {
         felt = step(3.0 * MM, -15.0 * MM);
     }
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let tools = [ball(1, -14.0 * MM, 3.0 * MM)];
-    let report = solver.step(&topology, &mut shape, &tools, Budget::new(400, 1e-5));
+    let report = tissue.step(&tools, Budget::new(400, 1e-5));
     let converged = report.reactions[0].force;
     let error = (felt - converged).norm() / converged.norm();
     assert!(error < 0.02, "{felt} {converged} N");
@@ -68,25 +68,25 @@ fn force_converges_after_another_tool_is_released() {
 #[test]
 fn free_tool_moves_without_a_step_until_contact() {
     let topology = topology();
-    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let tools = [
         ball(1, -14.0 * MM, 3.0 * MM),
         ball(2, 14.0 * MM, -20.0 * MM),
     ];
     for _ in 0..5 {
-        solver.step(&topology, &mut shape, &tools, hand());
+        tissue.step(&tools, hand());
     }
-    let hash = shape.hash();
+    let hash = tissue.shape().hash();
     let free = |depth: f64| ball(2, 14.0 * MM, depth);
-    assert!(solver.move_free(&topology, &shape, &free(-10.0 * MM)));
-    assert!(solver.move_free(&topology, &shape, &free(-2.0 * MM)));
-    assert!(!solver.move_free(&topology, &shape, &free(1.0 * MM)));
+    assert!(tissue.move_free(&free(-10.0 * MM)));
+    assert!(tissue.move_free(&free(-2.0 * MM)));
+    assert!(!tissue.move_free(&free(1.0 * MM)));
     // One pressing tool, and one unknown to any step.
-    assert!(!solver.move_free(&topology, &shape, &tools[0]));
-    assert!(!solver.move_free(&topology, &shape, &ball(3, 0.0, -20.0 * MM)));
-    assert_eq!(shape.hash(), hash);
+    assert!(!tissue.move_free(&tools[0]));
+    assert!(!tissue.move_free(&ball(3, 0.0, -20.0 * MM)));
+    assert_eq!(tissue.shape().hash(), hash);
     // The next step starts it at its last free position, and lets it touch.
-    let report = solver.step(&topology, &mut shape, &[tools[0], free(1.0 * MM)], hand());
+    let report = tissue.step(&[tools[0], free(1.0 * MM)], hand());
     assert!(
         report.reactions[1].contacts > 0 && report.lag_m == 0.0,
         "{report:?}"

@@ -25,7 +25,7 @@ Each figure that is missing or beyond its limit is a line \"FAILED: attack: crit
   newcomers, D and memory as before within 2 s after the attack
 
 Examples:
-  palpate-lab attack                       every attack, one after the other; about 12 minutes
+  palpate-lab attack                       every attack, one after the other; about 14 minutes
   palpate-lab attack delay seats           two attacks at once
   palpate-lab attack handshakes --seconds 10 --json
   palpate-lab attack --list

@@ -1,5 +1,6 @@
 //! The attackers of a run, on a thread of this process.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -7,6 +8,7 @@ use tokio::runtime::Runtime;
 use tokio::task::JoinHandle;
 
 use super::kinds::{Attack, Counts, Target};
+use crate::headless_page::PageAddress;
 use crate::session::{Session, SessionError};
 use crate::tool_location::SurfacePoint;
 
@@ -28,9 +30,17 @@ impl Crew {
     ) -> Result<Self, SessionError> {
         let trainee = session.direct_link("trainee")?;
         let spectator = session.direct_link("spectator")?;
+        let page = |(role, url): (&String, &String)| Some((role.clone(), PageAddress::parse(url)?));
+        let pages: BTreeMap<String, PageAddress> =
+            session.listening.pages.iter().filter_map(page).collect();
         let runtime = runtime()?;
         let start = |attack: &Attack| {
-            let target = Target::new(trainee.clone(), spectator.clone(), spots.to_vec());
+            let target = Target::new(
+                trainee.clone(),
+                spectator.clone(),
+                spots.to_vec(),
+                pages.clone(),
+            );
             let target = Arc::new(target);
             let task = runtime.spawn(attack.run(Arc::clone(&target)));
             (*attack, target, task)

@@ -5,7 +5,8 @@ use std::time::Duration;
 use palpate_client::Recording;
 use serde::Serialize;
 
-use super::kinds::{ACCEPTED_FALSE_NAMES, Counts};
+use super::kinds::{Attack, Counts};
+use crate::cpu::CpuRow;
 use crate::criteria::{Criterion, DROPOUT_MS};
 use crate::delay_figures::DelayFigures;
 use crate::memory::Memory;
@@ -58,6 +59,8 @@ pub struct Figures {
     pub honest_cuts: Option<u64>,
     /// Operations that the observer received.
     pub operations: Option<u64>,
+    /// CPU time of the server; `None` if it failed.
+    pub server_cpu: Option<CpuRow>,
     /// Counters of each attack.
     pub achieved: Vec<(&'static str, Counts)>,
     /// Processes that failed, one sentence each.
@@ -222,7 +225,6 @@ pub(super) fn judge(run: &Figures, base: &Figures, seconds: f64) -> Vec<Criterio
     }
     let newcomers = &run.newcomers;
     let kept_out = (newcomers.attempts - newcomers.joined) as u64;
-    let false_names = run.achieved.iter().find(|(name, _)| *name == "names");
     table.extend([
         Criterion::none_of(named("demotions of honest trainees"), run.demotions),
         Criterion::none_of(
@@ -256,12 +258,12 @@ pub(super) fn judge(run: &Figures, base: &Figures, seconds: f64) -> Vec<Criterio
             Some(run.problems.len() as u64),
         ),
     ]);
-    if let Some((_, counts)) = false_names {
-        let accepted = counts.get(ACCEPTED_FALSE_NAMES).copied().unwrap_or(0);
-        table.push(Criterion::none_of(
-            named(ACCEPTED_FALSE_NAMES),
-            Some(accepted),
-        ));
+    for (name, counts) in &run.achieved {
+        let forbidden = Attack::named(name).map_or(&[][..], |attack| attack.forbidden);
+        table.extend(forbidden.iter().map(|what| {
+            let count = counts.get(what).copied().unwrap_or(0);
+            Criterion::none_of(named(what), Some(count))
+        }));
     }
     // The figures of an attack that did nothing are no figures.
     let idle = run.achieved.iter().filter(|(_, counts)| counts.is_empty());
@@ -323,6 +325,7 @@ mod tests {
             strokes: 1,
             honest_cuts: Some(1),
             operations: Some(9),
+            server_cpu: None,
             achieved: vec![("delay", [("reports sent", 3)].into())],
             problems: Vec::new(),
         }
@@ -389,10 +392,12 @@ mod tests {
     }
 
     #[test]
-    fn accepted_false_names_fail() {
+    fn forbidden_events_fail() {
         let mut run = good();
-        run.achieved = vec![("names", [(super::ACCEPTED_FALSE_NAMES, 2)].into())];
+        run.achieved = vec![("names", [("false names accepted", 2)].into())];
         assert_eq!(failed(&run), ["delay: false names accepted"]);
+        run.achieved = vec![("pages", [("broken shapes", 1), ("joined", 50)].into())];
+        assert_eq!(failed(&run), ["delay: broken shapes"]);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //! ```text
 //! server process <- relay -- holder, cutter: client processes with scripts
 //!                <- visitors: an observer of the log; a newcomer every 3 s
-//!                <- crew: the attackers
+//!                <- crew: the attackers; pages among them join before the trainees
 //!
 //! |-- lead --|-------- scripts and attack --------|-- recovery --| leave
 //! ```
@@ -27,6 +27,7 @@ use palpate_client::Recording;
 use palpate_client::realtime::monotonic_now;
 use palpate_tissue::Topology;
 
+use crate::cpu::{CpuRow, cpu_of};
 use crate::delay_figures::DelayFigures;
 use crate::demo::DemoError;
 use crate::demo::pair::{self, NAMES, Pair, START_LEAD, file_error};
@@ -35,7 +36,7 @@ use crate::network::Profile;
 use crate::progress::{Interrupt, Progress};
 use crate::reference::Reference;
 use crate::scripts::{SECONDS_MAX, SECONDS_MIN};
-use crate::session::{Hosting, Participant, ParticipantResult, Session, SessionError};
+use crate::session::{HERE, Hosting, Participant, ParticipantResult, Session, SessionError};
 use crate::tool_location::{SurfacePoint, ToolLocation};
 use crew::Crew;
 use kinds::{Attack, Counts};
@@ -97,7 +98,12 @@ pub fn run(
         return Err(DemoError::Seconds(options.seconds));
     }
     let scratch = tempfile::tempdir().map_err(|e| file_error(&std::env::temp_dir(), e))?;
-    let pair = Pair::prepare(&options.model, options.seconds, scratch.path(), progress)?;
+    let pair = Pair::prepare(
+        &options.model,
+        (options.seconds, false),
+        scratch.path(),
+        progress,
+    )?;
     let topology = Topology::new(pair.test_model.model.clone());
     let spots = ToolLocation::spread(&topology, SPOTS)?;
     let mut arena = Arena {
@@ -164,6 +170,7 @@ struct Observed {
     memory_back: Option<Duration>,
     memory: Option<MemoryFigures>,
     log: ObservedLog,
+    server_cpu: Option<CpuRow>,
     achieved: Vec<(&'static str, Counts)>,
 }
 
@@ -289,6 +296,7 @@ impl Arena<'_> {
             format!("attack {}", names.join(" + "))
         };
         progress.stage(&format!("{label}: a server and two trainees"));
+        let pages = attacks.iter().find_map(|a| a.pages);
         let session = Session::start(&Hosting {
             executable: &o.executable,
             model: &self.pair.test_model.file,
@@ -296,7 +304,10 @@ impl Arena<'_> {
             seed: o.seed,
             compensation: "adaptive",
             start_when: 2,
+            view: pages.map(|_| HERE),
+            seats: pages.map(|pages| pages.seats),
         })?;
+        let early = self.start_early(attacks, &session)?;
         let participants = self.pair.join(&session, progress, self.interrupt)?;
         let visitors = Visitors::start(&session, attacks.iter().any(|a| a.takes_seats))?;
         let mut watched = Watched {
@@ -310,7 +321,10 @@ impl Arena<'_> {
         };
         watched.lead()?;
         progress.stage(&format!("{label}: {:.0} s", o.seconds));
-        let crew = Crew::start(attacks, &watched.session, &self.spots)?;
+        let crew = match early {
+            Some(crew) => crew,
+            None => Crew::start(attacks, &watched.session, &self.spots)?,
+        };
         watched.scripts(o.seconds, progress)?;
         crew.stop();
         let end = Instant::now();
@@ -324,9 +338,13 @@ impl Arena<'_> {
         let log = watched.visitors.log();
         let mut problems = watched.problems;
         let results = pair::leave(watched.participants, &mut problems);
-        if let Err(error) = watched.session.end() {
-            problems.push(error.to_string());
-        }
+        let server_cpu = match watched.session.end() {
+            Ok((summary, _)) => cpu_of("server", &summary),
+            Err(error) => {
+                problems.push(error.to_string());
+                None
+            }
+        };
         Ok(Observed {
             results,
             problems,
@@ -336,8 +354,31 @@ impl Arena<'_> {
             memory_back,
             memory: watched.memory.map(|(_, figures)| figures),
             log,
+            server_cpu,
             achieved,
         })
+    }
+
+    /// Starts attackers that join before the trainees, and waits until they have joined.
+    fn start_early(
+        &self,
+        attacks: &[Attack],
+        session: &Session,
+    ) -> Result<Option<Crew>, DemoError> {
+        let leads = attacks.iter().filter_map(|a| a.pages).map(|p| p.lead);
+        let lead = leads.max().unwrap_or_default();
+        if lead.is_zero() {
+            return Ok(None);
+        }
+        let crew = Crew::start(attacks, session, &self.spots)?;
+        let began = Instant::now();
+        while began.elapsed() < lead {
+            if self.interrupt.is_set() {
+                return Err(SessionError::Interrupted.into());
+            }
+            std::thread::sleep(STEP);
+        }
+        Ok(Some(crew))
     }
 
     fn figures(&self, attacks: &[Attack], observed: &Observed) -> Figures {
@@ -382,6 +423,7 @@ impl Arena<'_> {
             strokes: self.pair.strokes(),
             honest_cuts: observed.log.cuts_by(&NAMES),
             operations: Some(observed.log.operations),
+            server_cpu: observed.server_cpu.clone(),
             achieved: observed.achieved.clone(),
             problems,
         }

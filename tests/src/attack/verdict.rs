@@ -126,12 +126,27 @@ impl fmt::Display for AttackReport {
 }
 
 fn details(f: &mut fmt::Formatter<'_>, run: &Figures) -> fmt::Result {
-    let is_plain =
-        run.achieved.is_empty() && run.newcomers.reasons.is_empty() && run.problems.is_empty();
+    let is_plain = run.server_cpu.is_none()
+        && run.achieved.is_empty()
+        && run.newcomers.reasons.is_empty()
+        && run.problems.is_empty();
     if is_plain {
         return Ok(());
     }
     writeln!(f, "\n{}", run.label())?;
+    if let Some(cpu) = &run.server_cpu {
+        let classes = cpu
+            .classes
+            .iter()
+            .map(|(class, cores)| format!("{class} {cores:.3}"));
+        let classes: Vec<String> = classes.collect();
+        writeln!(
+            f,
+            "  server: {:.3} cores ({})",
+            cpu.cores,
+            classes.join(", ")
+        )?;
+    }
     for (name, counts) in &run.achieved {
         let counts: Vec<String> = counts.iter().map(|(k, n)| format!("{n} {k}")).collect();
         writeln!(f, "  {name} achieved: {}", counts.join(", "))?;

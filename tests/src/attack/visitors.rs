@@ -1,5 +1,6 @@
 //! Honest visitors of a session under attack: an observer that reads the log, and newcomers that try to join.
 
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -38,8 +39,8 @@ pub(super) struct Attempt {
 #[derive(Debug, Clone, Default)]
 pub(super) struct ObservedLog {
     participants: Vec<(ParticipantId, String)>,
-    /// Authors of cuts.
-    cuts: Vec<ParticipantId>,
+    /// Authors of strokes that cut, each with the number of the stroke.
+    cuts: BTreeSet<(ParticipantId, u64)>,
     /// All operations.
     pub(super) operations: u64,
     /// The reason why the observer saw no more of the log.
@@ -47,7 +48,7 @@ pub(super) struct ObservedLog {
 }
 
 impl ObservedLog {
-    /// Number of cuts by participants with these names; `None` if the log is incomplete.
+    /// Number of strokes that cut, by participants with these names; `None` if the log is incomplete.
     pub(super) fn cuts_by(&self, names: &[&str]) -> Option<u64> {
         if self.ended.is_some() {
             return None;
@@ -56,7 +57,7 @@ impl ObservedLog {
             let of = self.participants.iter().find(|(p, _)| p == id);
             of.is_some_and(|(_, name)| names.contains(&name.as_str()))
         };
-        Some(self.cuts.iter().filter(|id| named(id)).count() as u64)
+        Some(self.cuts.iter().filter(|(id, _)| named(id)).count() as u64)
     }
 
     fn note(&mut self, message: ServerMessage) {
@@ -68,7 +69,10 @@ impl ObservedLog {
             OperationKind::Joined {
                 participant, name, ..
             } => self.participants.push((participant, name)),
-            OperationKind::Cut(_) => self.cuts.push(operation.author),
+            OperationKind::Cut(part) => {
+                self.cuts
+                    .insert((operation.author, part.number(operation.author)));
+            }
             _ => {}
         }
     }

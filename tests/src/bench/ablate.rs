@@ -10,7 +10,9 @@ use std::time::Instant;
 
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use palpate_tissue::{Budget, CutOutcome, Mechanism, Model, Shape, Solver, Tool, Topology, Vec3};
+use palpate_tissue::{
+    Budget, CutPreparer, Mechanism, Model, PreparedCut, Tissue, Tool, Topology, Vec3,
+};
 use serde::Serialize;
 
 use super::wound::Wound;
@@ -76,12 +78,11 @@ pub struct Ablation {
 
 struct Course {
     name: String,
-    topology: Topology,
-    solver: Solver,
+    tissue: Tissue,
     /// Tool pose and phase of every tick.
     ticks: Vec<(Tool, usize)>,
-    /// The cut at the beginning of the slide: its topology and outcome.
-    cut: Option<(Topology, CutOutcome)>,
+    /// The cut at the beginning of the slide.
+    cut: Option<(CutPreparer, PreparedCut)>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -97,14 +98,16 @@ type Run = Vec<Option<Step>>;
 
 impl Course {
     fn new(name: &str, model: Arc<Model>, cuts: bool) -> Result<Self, String> {
-        let topology = Topology::new(model);
-        let mut place = ToolLocation::find(&topology).map_err(|e| format!("{name}: {e}"))?;
-        let solver = Solver::new(&topology);
-        place.sag(&topology, &solver);
+        let tissue = Tissue::new(model);
+        let found = ToolLocation::find(tissue.topology());
+        let mut place = found.map_err(|e| format!("{name}: {e}"))?;
+        place.sag(&tissue);
         let cut = if cuts {
-            let mut after = topology.clone();
-            let (_, outcome) = Wound::open(&mut after, &mut place)?;
-            Some((after, outcome))
+            let mut after = Topology::clone(tissue.topology());
+            let (_, stroke) = Wound::open(&mut after, &mut place)?;
+            let mut preparer = tissue.preparer();
+            let cut = preparer.prepare(&stroke).map_err(|e| e.to_string())?;
+            Some((preparer, cut))
         } else {
             None
         };
@@ -138,8 +141,7 @@ impl Course {
                 .chain(fast)
                 .chain(jump)
                 .collect(),
-            topology,
-            solver,
+            tissue,
             cut,
         })
     }
@@ -151,24 +153,19 @@ impl Course {
         (iterations, tolerance): (usize, f64),
         every: usize,
     ) -> (Run, f64) {
-        let mut topology = &self.topology;
-        let (mut solver, mut shape) = (self.solver.another(topology), Shape::rest(topology));
+        let mut tissue = self.tissue.another();
         if let Some(mechanism) = without {
-            solver.disable(mechanism);
+            tissue.disable(mechanism);
         }
         let mut residual = 0.0f64;
         let mut run = Vec::with_capacity(self.ticks.len());
         let mut phase_before = 0;
         for &(tool, phase) in &self.ticks {
-            if let Some((after, outcome)) = self
-                .cut
-                .as_ref()
-                .filter(|_| phase == 1 && phase_before == 0)
+            if let Some((preparer, cut)) = &self.cut
+                && phase == 1
+                && phase_before == 0
             {
-                solver.prolongate_all(&mut shape);
-                shape.follow(after, outcome);
-                solver.follow(after, &outcome.touched);
-                topology = after;
+                tissue.succeed(preparer.repeat(cut));
             }
             phase_before = phase;
             if run.len() % every != 0 {
@@ -180,7 +177,7 @@ impl Course {
                 ..Budget::new(iterations, tolerance)
             };
             let began = Instant::now();
-            let report = solver.step(topology, &mut shape, &[tool], budget);
+            let report = tissue.step(&[tool], budget);
             let ms = began.elapsed().as_secs_f64() * 1e3;
             residual = residual.max(report.residual);
             let force = report
@@ -260,7 +257,7 @@ impl Course {
         });
         Ablation {
             scene: self.name.clone(),
-            nodes: self.topology.node_count(),
+            nodes: self.tissue.topology().node_count(),
             converged_residual,
             variants: variants.collect(),
         }

@@ -18,7 +18,7 @@ use palpate_protocol::datagram::{
     Body, Datagram, Displacements, Header, Memory, POSITION_STEP_M, TIME_STEP_US, Tag,
 };
 use palpate_protocol::{Epoch, ParticipantId, Pose, ServerTime, Span, ToolSample, ToolTrack};
-use palpate_tissue::{Budget, Material, Shape, Solver, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Shape, Tissue, Topology, Vec3, block};
 use serde::Serialize;
 
 use super::{Benchmark, OnStage};
@@ -251,8 +251,7 @@ impl Coding {
         };
         let nodes = topology.node_count();
         let disc: Vec<u32> = (0..nodes as u32).filter(under).collect();
-        let mut solver = Solver::new(&topology);
-        let mut shape = Shape::rest(&topology);
+        let mut tissue = Tissue::at_rest(topology);
         let mut direction = Direction::new(self.round_trip_ms);
         let mut sums = Sums::default();
         let mut sent: Vec<Vec<i32>> = Vec::new();
@@ -260,23 +259,23 @@ impl Coding {
             let phase = frame as f64 / (FRAMES - 1) as f64;
             let depth = DEPTH_M * (std::f64::consts::PI * phase).sin();
             for &node in &disc {
-                solver.hold(&topology, &mut shape, node, Vec3::z() * -depth);
+                tissue.hold(node, Vec3::z() * -depth);
             }
-            solver.step(&topology, &mut shape, &[], Budget::new(30, 1e-3));
+            tissue.step(&[], Budget::new(30, 1e-3));
             let now = ServerTime::from_micros(1_000_000 * (FRAME_HZ + frame as i64) / FRAME_HZ);
             let whole = Displacements {
                 waiting: 0,
                 step_um: STEP_UM,
                 topology_version: 0,
                 view_time: now,
-                nodes: displacements(&shape),
+                nodes: displacements(tissue.shape()),
             };
             for piece in whole.pieces() {
                 sums.ours += direction.send(Body::Displacements(piece), now)?;
             }
             let step = f64::from(STEP_UM) * 1e-6;
             let round = |x: &f64| (x / step).round() as i32;
-            let steps: Vec<i32> = (shape.displacement.iter())
+            let steps: Vec<i32> = (tissue.shape().displacement.iter())
                 .flat_map(|d| [round(&d.x), round(&d.y), round(&d.z)])
                 .collect();
             let frames_behind = (self.round_trip_ms * FRAME_HZ / 1000 + 1) as usize;

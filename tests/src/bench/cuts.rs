@@ -24,8 +24,8 @@ use palpate_protocol::{
     Role, ServerTime, Span, TopologyHash,
 };
 use palpate_site::{
-    CutOrder, CutWorkerEvent, HAPTIC_PERIOD, Prefetch, Site, SiteError, VIEW_ITERATIONS,
-    VIEW_TOLERANCE, View, ViewUpdate, hand_budget, tissue_stroke,
+    HAPTIC_PERIOD, MadeCut, Prefetch, Site, SiteError, VIEW_ITERATIONS, VIEW_TOLERANCE, View,
+    ViewUpdate, hand_budget, tissue_stroke,
 };
 use palpate_tissue::{Budget, Topology, cut};
 use serde::Serialize;
@@ -169,8 +169,6 @@ pub struct AtCut {
     pub late_ms: f64,
     /// Longest of the ten steps around it, processor time in ms.
     pub worst_ms: f64,
-    /// Step that copied the state for the cut worker, ms.
-    pub copied_ms: f64,
     /// Force change in the step that applied it, N.
     pub jump_n: f64,
     /// Force before it, N.
@@ -199,7 +197,6 @@ struct Step {
     force: Vector3<f64>,
     is_usable: bool,
     version: u32,
-    copies: bool,
     at: ServerTime,
 }
 
@@ -248,11 +245,13 @@ fn operations(
             }
         });
         let stroke = CutStroke {
+            began: ServerTime::from_micros(i as i64),
+            joins: false,
             points: points.collect(),
             width_m: 0.0,
         };
         let before = topology.version();
-        if cut(&mut topology, &tissue_stroke(&stroke)).is_err() {
+        if cut(&mut topology, &tissue_stroke(SURGEON, &stroke).path).is_err() {
             continue;
         }
         operations.push(Operation {
@@ -302,7 +301,7 @@ fn welcome(topology: &Topology, delay: Span) -> Welcome {
 struct Worker {
     ahead: Prefetch,
     /// Result of the latest work item, and its completion time.
-    news: Option<CutWorkerEvent>,
+    news: Option<MadeCut>,
     busy_until: ClientTime,
     worked: Span,
 }
@@ -318,7 +317,7 @@ impl Worker {
     }
 
     /// Works until `now`; returns the results completed by then.
-    fn work(&mut self, now: ClientTime) -> Result<Vec<CutWorkerEvent>, String> {
+    fn work(&mut self, now: ClientTime) -> Result<Vec<MadeCut>, String> {
         let mut done = Vec::new();
         while self.busy_until <= now {
             done.extend(self.news.take());
@@ -340,7 +339,7 @@ impl Step {
     fn make(
         site: &mut Site,
         worker: &mut Worker,
-        news: Vec<CutWorkerEvent>,
+        news: Vec<MadeCut>,
         pose: Pose,
         now: ClientTime,
     ) -> Result<Self, SiteError> {
@@ -355,7 +354,6 @@ impl Step {
         let model = site.haptic_step(now, pose, 0, hand_budget(&mut stop));
         orders.extend(std::iter::from_fn(|| site.poll_cut_order()));
         let took = worked() - from;
-        let copies = orders.iter().any(|o| matches!(o, CutOrder::Prepare(..)));
         for order in orders {
             worker.ahead.order(order);
         }
@@ -364,7 +362,6 @@ impl Step {
             force: model.map_or_else(Vector3::zeros, |m| m.force()),
             is_usable: model.is_some_and(|m| m.is_usable() && m.in_contact()),
             version: site.replica().topology().version(),
-            copies,
             at: ServerTime::from_micros(now.as_micros()),
         })
     }
@@ -404,17 +401,11 @@ fn summary(
     let exchanges = (1..steps.len()).filter(|&i| steps[i].version != steps[i - 1].version);
     for (i, due) in exchanges.zip(due) {
         let around = i.saturating_sub(AROUND / 2)..(i + AROUND / 2).min(steps.len());
-        let copied = (0..i).rev().find(|&k| steps[k].copies);
         let ms = |k: usize| steps[k].ms;
-        let copied_ms = copied.map_or(0.0, ms);
         quiet[around.clone()].fill(false);
-        if let Some(k) = copied {
-            quiet[k] = false;
-        }
         cuts.push(AtCut {
             late_ms: (steps[i].at - *due).as_secs_f64() * 1e3,
-            worst_ms: around.map(ms).fold(copied_ms, f64::max),
-            copied_ms,
+            worst_ms: around.map(ms).fold(0.0, f64::max),
             jump_n: (steps[i].force - steps[i - 1].force).norm(),
             force_n: steps[i - 1].force.norm(),
         });
@@ -461,14 +452,14 @@ impl fmt::Display for CutsReport {
         )?;
         writeln!(
             f,
-            "{:>8} {:>8} {:>8} {:>10} {:>10}",
-            "late", "worst", "copied", "jump (N)", "force (N)"
+            "{:>8} {:>8} {:>10} {:>10}",
+            "late", "worst", "jump (N)", "force (N)"
         )?;
         for c in &self.cuts {
             writeln!(
                 f,
-                "{:>8.1} {:>8.2} {:>8.2} {:>10.3} {:>10.3}",
-                c.late_ms, c.worst_ms, c.copied_ms, c.jump_n, c.force_n
+                "{:>8.1} {:>8.2} {:>10.3} {:>10.3}",
+                c.late_ms, c.worst_ms, c.jump_n, c.force_n
             )?;
         }
         write!(f, "worst step around a cut: {:.2}", self.worst_ms)

@@ -6,11 +6,13 @@
 pub mod ablate;
 pub mod bytes;
 pub mod coding;
+pub mod cut_time;
 pub mod cuts;
 pub mod haptic_tick;
 pub mod press_cube;
 pub mod press_scene;
 mod quic;
+pub mod view_cost;
 pub mod wound;
 
 use std::fmt::Display;

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::Args;
-use palpate_tissue::{Budget, Material, Shape, Solver, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Shape, Tissue, Topology, Vec3, block};
 use serde::Serialize;
 
 use super::{Benchmark, OnStage, on_threads};
@@ -100,7 +100,7 @@ pub struct MovingReport {
 }
 
 struct Cube {
-    topology: Topology,
+    topology: Arc<Topology>,
     disc: Vec<u32>,
 }
 
@@ -114,7 +114,7 @@ impl Cube {
         };
         // The lowest layer is the base; the cube stands on its top nodes.
         let model = block([n - 1, n - 1, n], spacing, &material, 1);
-        let topology = Topology::new(Arc::new(model));
+        let topology = Arc::new(Topology::new(Arc::new(model)));
         let top = Vec3::new(0.5 * SIDE_M, 0.5 * SIDE_M, spacing + SIDE_M);
         let under = |&node: &u32| {
             let d = topology.rest(node) - top;
@@ -124,33 +124,26 @@ impl Cube {
         Self { topology, disc }
     }
 
-    fn press(&self, solver: &mut Solver, shape: &mut Shape, depth: f64) {
+    fn press(&self, tissue: &mut Tissue, depth: f64) {
         for &node in &self.disc {
-            solver.hold(&self.topology, shape, node, Vec3::z() * -depth);
+            tissue.hold(node, Vec3::z() * -depth);
         }
     }
 
-    fn step(
-        &self,
-        solver: &mut Solver,
-        shape: &mut Shape,
-        iterations: usize,
-        tolerance: f64,
-    ) -> f64 {
-        let began = Instant::now();
-        let budget = Budget::new(iterations, tolerance);
-        solver.step(&self.topology, shape, &[], budget);
-        began.elapsed().as_secs_f64() * 1e3
+    /// Solves from rest with a number of iterations; returns the tissue and the duration in ms.
+    fn cold(&self, like: &Tissue, iterations: usize, tolerance: f64) -> (Tissue, f64) {
+        let mut tissue = like.another();
+        self.press(&mut tissue, DEPTH_M);
+        let ms = step(&mut tissue, iterations, tolerance);
+        (tissue, ms)
     }
+}
 
-    /// Solves from rest with a number of iterations; returns the shape and the duration in ms.
-    fn cold(&self, like: &Solver, iterations: usize, tolerance: f64) -> (Shape, Solver, f64) {
-        let mut solver = like.another(&self.topology);
-        let mut shape = Shape::rest(&self.topology);
-        self.press(&mut solver, &mut shape, DEPTH_M);
-        let ms = self.step(&mut solver, &mut shape, iterations, tolerance);
-        (shape, solver, ms)
-    }
+/// Solves; returns the duration in ms.
+fn step(tissue: &mut Tissue, iterations: usize, tolerance: f64) -> f64 {
+    let began = Instant::now();
+    tissue.step(&[], Budget::new(iterations, tolerance));
+    began.elapsed().as_secs_f64() * 1e3
 }
 
 fn error(shape: &Shape, exact: &Shape) -> f64 {
@@ -168,28 +161,27 @@ impl PressCube {
         progress("making the cube");
         let cube = Cube::new(usize::from(self.nodes), self.poisson);
         let began = Instant::now();
-        let first = Solver::new(&cube.topology);
+        let first = Tissue::at_rest(Arc::clone(&cube.topology));
         let setup_ms = began.elapsed().as_secs_f64() * 1e3;
         progress("converging");
-        let (exact, solver, converged_ms) = cube.cold(&first, ITERATIONS_MAX, CONVERGED);
-        let report = solver.report().clone();
-        let force: f64 = cube
-            .disc
-            .iter()
-            .map(|&n| solver.force_on(&exact, n).z)
-            .sum();
+        let (exact, converged_ms) = cube.cold(&first, ITERATIONS_MAX, CONVERGED);
+        let report = exact.report().clone();
+        let force: f64 = cube.disc.iter().map(|&n| exact.force_on(n).z).sum();
         progress("from rest to 1 %");
         let mut iterations = 1;
         let mut left = f64::INFINITY;
         while iterations < ITERATIONS_MAX {
-            left = error(&cube.cold(&first, iterations, TOLERANCE).0, &exact);
+            left = error(
+                cube.cold(&first, iterations, TOLERANCE).0.shape(),
+                exact.shape(),
+            );
             if left < ERRORS[0] {
                 break;
             }
             iterations += 1;
         }
         let times: Vec<f64> = (0..RUNS)
-            .map(|_| cube.cold(&first, iterations, TOLERANCE).2)
+            .map(|_| cube.cold(&first, iterations, TOLERANCE).1)
             .collect();
         let nodes = 0..cube.topology.node_count() as u32;
         let springs: usize = nodes.map(|n| cube.topology.springs_of(n).len()).sum();
@@ -212,35 +204,31 @@ impl PressCube {
 
 /// Presses in steps. The first one solves from rest to a residual of 1e-4, so that the others begin at an
 /// equilibrium; those use the loosest tolerance that keeps every error within bounds.
-fn moving(cube: &Cube, like: &Solver, progress: &mut OnStage<'_>) -> MovingReport {
+fn moving(cube: &Cube, like: &Tissue, progress: &mut OnStage<'_>) -> MovingReport {
     progress("converging the moving press");
     let depth = |step: usize| DEPTH_M * (step + 1) as f64 / STEPS as f64;
-    let mut solver = like.another(&cube.topology);
-    let mut shape = Shape::rest(&cube.topology);
+    let mut tissue = like.another();
     let exact: Vec<Shape> = (0..STEPS)
         .map(|s| {
-            cube.press(&mut solver, &mut shape, depth(s));
-            cube.step(&mut solver, &mut shape, ITERATIONS_MAX, CONVERGED);
-            shape.clone()
+            cube.press(&mut tissue, depth(s));
+            step(&mut tissue, ITERATIONS_MAX, CONVERGED);
+            tissue.shape().clone()
         })
         .collect();
     progress("moving");
     let run = |tolerance: f64| {
-        let mut solver = like.another(&cube.topology);
-        let mut shape = Shape::rest(&cube.topology);
+        let mut tissue = like.another();
         let mut steps: Vec<Moved> = exact
             .iter()
             .enumerate()
             .map(|(s, exact)| {
-                cube.press(&mut solver, &mut shape, depth(s));
-                let ms = match s {
-                    0 => cube.step(&mut solver, &mut shape, ITERATIONS_MAX, FIRST),
-                    _ => cube.step(&mut solver, &mut shape, ITERATIONS_MAX, tolerance),
-                };
+                cube.press(&mut tissue, depth(s));
+                let tolerance = if s == 0 { FIRST } else { tolerance };
+                let ms = step(&mut tissue, ITERATIONS_MAX, tolerance);
                 Moved {
                     ms,
-                    error: error(&shape, exact),
-                    iterations: solver.report().iterations,
+                    error: error(tissue.shape(), exact),
+                    iterations: tissue.report().iterations,
                 }
             })
             .collect();

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::Args;
-use palpate_tissue::{Budget, Model, Shape, Solver, StepReport, Tool, Topology};
+use palpate_tissue::{Budget, Model, StepReport, Tissue, Tool, Topology};
 use serde::Serialize;
 
 use super::wound::Wound;
@@ -128,9 +128,8 @@ pub struct PressSceneReport {
 }
 
 struct Prepared {
-    topology: Topology,
     location: ToolLocation,
-    first: Solver,
+    first: Tissue,
     setup_ms: f64,
     wound: Option<Wound>,
     tools: Vec<Tool>,
@@ -165,9 +164,9 @@ impl PressScene {
             None
         };
         let began = Instant::now();
-        let first = Solver::new(&topology);
+        let first = Tissue::at_rest(topology);
         let setup_ms = began.elapsed().as_secs_f64() * 1e3;
-        location.sag(&topology, &first);
+        location.sag(&first);
         let (depth_m, step_m) = (self.depth_mm * 1e-3, self.speed_mm_s * 1e-3 * TICK_S);
         let moving = (depth_m / step_m).ceil() as usize;
         let tools = (1..=moving + REST)
@@ -181,7 +180,6 @@ impl PressScene {
             })
             .collect();
         Ok(Prepared {
-            topology,
             location,
             first,
             setup_ms,
@@ -193,8 +191,8 @@ impl PressScene {
     }
 
     fn press(&self, model: &mut Prepared, repeat: usize) {
-        let (topology, location) = (&model.topology, &model.location);
-        let (mut hand, mut shape) = (model.first.another(topology), Shape::rest(topology));
+        let location = &model.location;
+        let mut hand = model.first.another();
         let out = (0..model.moving.saturating_sub(1)).rev();
         let ways = (0..model.tools.len()).map(|t| (t, false));
         for (number, draws_back) in ways.chain(out.map(|t| (t, true))) {
@@ -207,7 +205,7 @@ impl PressScene {
                 stop: Some(&mut stop),
                 ..Budget::new(10, TOLERANCE)
             };
-            let report = hand.step(topology, &mut shape, &[*tool], budget);
+            let report = hand.step(&[*tool], budget);
             model.ticks.push(Tick {
                 press: repeat,
                 draws_back,
@@ -223,12 +221,12 @@ impl PressScene {
     }
 
     fn converge(&self, model: &mut Prepared, progress: &mut OnStage<'_>) {
-        let (topology, count) = (&model.topology, model.tools.len());
-        let (mut exact, mut shape) = (model.first.another(topology), Shape::rest(topology));
+        let count = model.tools.len();
+        let mut exact = model.first.another();
         for (k, tool) in model.tools.iter().enumerate() {
             progress(&format!("converging tick {} of {count}", k + 1));
             let budget = Budget::new(200, self.converged);
-            let report = exact.step(topology, &mut shape, &[*tool], budget);
+            let report = exact.step(&[*tool], budget);
             for tick in model.ticks.iter_mut().filter(|t| t.tool == k) {
                 tick.converged_n = along(report, &model.location);
                 tick.error = (tick.force_n - tick.converged_n) / tick.converged_n.max(LEAST_N);
@@ -255,7 +253,7 @@ fn summary(model: Prepared) -> PressSceneReport {
     let fifth = (moving.len() / 5).max(2).min(moving.len());
     PressSceneReport {
         wound: model.wound,
-        nodes: model.topology.node_count(),
+        nodes: model.first.topology().node_count(),
         setup_ms: model.setup_ms,
         press: Figures::of(&press),
         back: Figures::of(&back),

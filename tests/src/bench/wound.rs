@@ -1,6 +1,6 @@
 //! A wound beside the press: the cut of the demo, but through every layer down to half of the soft tissue.
 
-use palpate_tissue::{BladePoint, CutOutcome, CutStroke, Topology, cut};
+use palpate_tissue::{BladePoint, CutStroke, Topology, cut};
 use serde::Serialize;
 
 use crate::tool_location::ToolLocation;
@@ -28,11 +28,11 @@ pub struct Wound {
 
 impl Wound {
     /// Cuts through the centre of a location along its stroke, and moves the location beside the wound.
-    /// Also returns the outcome of the cut.
+    /// Also returns the stroke.
     pub fn open(
         topology: &mut Topology,
         location: &mut ToolLocation,
-    ) -> Result<(Self, CutOutcome), String> {
+    ) -> Result<(Self, CutStroke), String> {
         let depth = (DEPTH_SHARE * location.depth_m).min(DEPTH_MAX_M);
         let length = (LENGTH_M * location.scale()).max(5.0 * location.spacing_m);
         let points = (0..=POINTS).map(|i| {
@@ -58,7 +58,7 @@ impl Wound {
             doubled: outcome.doubled.len(),
             regions: outcome.regions_cut.iter().map(name).collect(),
         };
-        Ok((wound, outcome))
+        Ok((wound, stroke))
     }
 }
 

@@ -7,7 +7,7 @@ use crate::delay_figures::DelayFigures;
 use crate::dropout::Dropouts;
 use crate::force_error::ForceError;
 use crate::reference::Quality;
-use crate::report::{ParticipantReport, ReferenceReport, Report};
+use crate::report::{CutLateness, ParticipantReport, ReferenceReport, Report};
 
 const EXPECTED: Expected<'_> = Expected {
     trainees: &["holder", "cutter"],
@@ -73,6 +73,13 @@ fn good() -> Report {
     };
     report.cut.operations = 1;
     report.cut.boundary_closed = true;
+    let late = |name: &str| CutLateness {
+        participant: name.to_owned(),
+        parts: 9,
+        p50_ms: 40.0,
+        ..CutLateness::default()
+    };
+    report.cut.late_ms = names.map(late).into();
     report
 }
 
@@ -110,7 +117,7 @@ fn good_report_passes_and_lists_every_criterion_in_json() {
     assert_eq!(failed(&mut report), [""; 0]);
     let json = serde_json::to_value(&report).unwrap();
     let all = json["criteria"].as_array().unwrap();
-    assert_eq!(all.len(), 20);
+    assert_eq!(all.len(), 22);
     for criterion in all {
         assert_eq!(criterion["ok"], true);
         assert!(criterion["value"].is_number() && criterion["limit"].is_number());
@@ -177,6 +184,10 @@ fn missing_cut_fails() {
         &["topologies that differ from the server's"],
     );
     fails(|r| r.cut.boundary_closed = false, &["open outer surfaces"]);
+    let behind = ["cuts behind the blade, seen by the cutter"];
+    fails(|r| r.cut.late_ms[1].p50_ms = 1000.0, &behind);
+    fails(|r| r.cut.late_ms[1].parts = 0, &behind);
+    fails(|r| drop(r.cut.late_ms.remove(1)), &behind);
 }
 
 #[test]

@@ -6,7 +6,8 @@ use std::path::Path;
 use palpate_anatomy::{LabelVolume, Scene, Surface, Unit};
 use palpate_device::Script;
 use palpate_device::backend::replay::Motion;
-use palpate_tissue::{Material, ModelFile, block};
+use palpate_tissue::file::ModelFile;
+use palpate_tissue::{Material, block};
 
 use super::{Decoder, decoders, text};
 use crate::experiments::recipe::Recipe;

@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use palpate_device::Script;
-use palpate_protocol::operation::CutStroke;
-use palpate_tissue::write_file;
+use palpate_site::OperationRecord;
+use palpate_tissue::file::write_file;
 
 use super::DemoError;
 use crate::dropout::{Dropouts, longest_gap_ms};
 use crate::force_error::{ForceError, ForcePoint, over_script};
 use crate::progress::{Interrupt, Progress};
-use crate::reference::{self, Reference, ReferenceError};
+use crate::reference::{self, Reference, ReferenceError, TimedCut};
 use crate::report::ParticipantReport;
 use crate::scripts::Scripts;
 use crate::session::{Participant, ParticipantResult, Session, SessionError};
@@ -34,16 +34,20 @@ pub(crate) struct Pair {
 }
 
 impl Pair {
-    /// Prepares a model and writes scripts of `seconds` for it into `dir`.
+    /// Prepares a model and writes scripts of `seconds` for it into `dir`; with `crosses`, both trainees cut.
     pub(crate) fn prepare(
         model: &str,
-        seconds: f64,
+        (seconds, crosses): (f64, bool),
         dir: &Path,
         progress: &mut Progress,
     ) -> Result<Self, DemoError> {
         progress.stage(&format!("preparing the model {model}"));
         let test_model = TestModel::prepare(model, dir)?;
-        let scripts = Scripts::for_model(&test_model.model, seconds)?;
+        let scripts = if crosses {
+            Scripts::crossing(&test_model.model, seconds)?
+        } else {
+            Scripts::for_model(&test_model.model, seconds)?
+        };
         let files = [&scripts.holder, &scripts.cutter].map(Script::to_toml);
         for (name, text) in NAMES.iter().zip(&files) {
             write(&script_file(dir, name), text)?;
@@ -95,7 +99,7 @@ impl Pair {
     ) -> Result<Result<(Reference, f64), ReferenceError>, DemoError> {
         progress.stage("computing the reference: the same hands without a network");
         let began = Instant::now();
-        let cuts = strokes_cut(results);
+        let cuts = parts_cut(results);
         let both = [&self.scripts[0], &self.scripts[1]];
         let reference = reference::run(&self.test_model.model, both, &cuts, |share| {
             progress.tick(&format!("{:.0} %", share * 100.0));
@@ -108,13 +112,21 @@ impl Pair {
     }
 }
 
-/// The strokes that the session cut. All logs are equal, except that a participant who leaves early has fewer
+/// The parts of strokes that the session cut. All logs are equal, except that a participant who leaves early has fewer
 /// entries.
-fn strokes_cut(results: &[ParticipantResult]) -> Vec<CutStroke> {
+fn parts_cut(results: &[ParticipantResult]) -> Vec<TimedCut> {
     let logs = results.iter().map(|l| &l.recording.operations);
-    let longest = logs.max_by_key(|log| log.len());
-    let strokes = longest.into_iter().flatten().map(|o| o.stroke.clone());
-    strokes.flatten().collect()
+    let longest: &[OperationRecord] = logs.max_by_key(|log| log.len()).map_or(&[], |log| log);
+    let Some(zero_us) = longest.iter().find_map(|o| o.script_at_us) else {
+        return Vec::new();
+    };
+    let cut = |o: &OperationRecord| {
+        Some(TimedCut {
+            at_s: (o.at_us - zero_us) as f64 * 1e-6,
+            part: o.stroke.clone()?,
+        })
+    };
+    longest.iter().filter_map(cut).collect()
 }
 
 pub(crate) fn file_error(path: &Path, source: std::io::Error) -> DemoError {

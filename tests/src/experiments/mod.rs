@@ -6,6 +6,7 @@
 
 mod atc;
 pub mod command;
+mod cut_methods;
 mod friction;
 pub mod gallery;
 mod handle;
@@ -29,7 +30,7 @@ mod tool_paths;
 
 use std::path::Path;
 
-use palpate_tissue::write_file;
+use palpate_tissue::file::write_file;
 use serde_json::Value;
 
 use crate::chart::Chart;

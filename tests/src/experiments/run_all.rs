@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use clap::Args;
 use palpate_protocol::PROTOCOL_VERSION;
-use palpate_tissue::write_file;
+use palpate_tissue::file::write_file;
 use serde_json::{Value, json};
 
 use super::command::{DIR, experiment, find, make_folder};

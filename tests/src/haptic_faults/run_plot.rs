@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use palpate_tissue::write_file;
+use palpate_tissue::file::write_file;
 
 use crate::chart::{BLUE, Chart, GREEN, GREY, Line, Mark, ORANGE, Panel};
 use crate::experiments::Table;

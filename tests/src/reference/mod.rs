@@ -4,8 +4,8 @@
 //! simulated hands with their haptic chains tick at 1 kHz on one replica of the tissue. The replica is solved
 //! near the tools when a tool has moved by [`MOVED_M`], and at least every [`SOLVE_AT_LEAST`] ticks. Distant
 //! tissue lags behind such solves, so that forces drift by a few percent. At [`CHECKS`] times the whole tissue
-//! is solved to a relative residual of `check::TOLERANCE`, which removes the drift. A cut is applied at the end
-//! of its stroke.
+//! is solved to a relative residual of `check::TOLERANCE`, which removes the drift. The parts of a stroke are cut
+//! while the blade moves.
 //!
 //! The work is bounded by the motion and the number of checks. The force change by a check is the drift at its
 //! largest, and so an upper estimate of the error. The result has this estimate and the largest residual of a
@@ -19,11 +19,9 @@ use std::sync::Arc;
 
 use palpate_client::recording::Recording;
 use palpate_device::{DeviceFault, Script};
-use palpate_protocol::operation::{BladePoint, CutStroke, Operation, OperationKind};
-use palpate_protocol::request::CutRequest;
-use palpate_protocol::{OperationId, ParticipantId, ServerTime, TopologyHash};
-use palpate_site::{Replica, ReplicaError, tissue_stroke};
-use palpate_tissue::{Model, TopologyHash as TissueHash, Vec3, cut, to_rest};
+use palpate_protocol::operation::CutStroke;
+use palpate_site::{Replica, ReplicaError};
+use palpate_tissue::{Model, TopologyHash as TissueHash, Vec3};
 use serde::{Deserialize, Serialize};
 
 use crate::force_error::ForcePoint;
@@ -62,14 +60,21 @@ pub enum ReferenceError {
 pub struct Reference {
     /// Force and position per trainee, in script order, every millisecond of script.
     pub forces: [Vec<ForcePoint>; 2],
-    /// Times of the cuts, seconds of script.
+    /// Ends of the strokes, seconds of script.
     pub cuts_s: Vec<f64>,
-    /// Strokes of the cuts, in the rest frame.
-    pub strokes: Vec<CutStroke>,
-    /// Largest distance between a hand's own stroke and the stroke cut in its place, m.
+    /// The parts that were cut, in the rest frame.
+    pub strokes: Vec<TimedCut>,
+    /// Largest distance of the parts of a session from the paths of the hands' own blades, m.
     pub cut_apart_m: f64,
     pub topology_hash: TissueHash,
     pub quality: Quality,
+}
+
+/// A part of a stroke and the time of script from which on it is cut, s.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TimedCut {
+    pub at_s: f64,
+    pub part: CutStroke,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
@@ -87,13 +92,13 @@ pub struct Quality {
 /// Simulates two scripted hands, which yield to the forces, on one replica. `progress` receives the completed
 /// share and returns whether to continue.
 ///
-/// `cuts` are strokes of a session in the rest frame, in order; they replace the strokes of the hands. Forces
+/// `cuts` are the parts that a session cut, in order; if there are any, they replace the strokes of the hands. Forces
 /// beside a cut depend on the severed springs: 0.1 mm changes them by 3 to 9 %. [`Reference::cut_apart_m`] is
 /// the distance between the two.
 pub fn run(
     model: &Arc<Model>,
     scripts: [&Script; 2],
-    cuts: &[CutStroke],
+    cuts: &[TimedCut],
     mut progress: impl FnMut(f64) -> bool,
 ) -> Result<Reference, ReferenceError> {
     let seats = [
@@ -108,13 +113,13 @@ pub fn run(
         check_every: (end_s * 1e3 / CHECKS as f64) as i64,
     };
     let replicas = vec![Replica::new(Arc::clone(model), true)];
-    let mut hands = TwoHands::new(seats, replicas, pace, cuts);
+    let mut hands = TwoHands::new(model, seats, replicas, pace, cuts);
     hands.run_until(end_us, &mut progress)?;
     Ok(hands.into_reference())
 }
 
 /// Replays the recorded motion of both hands of a session without a network. Each hand has its own replica,
-/// solved as in a session, with the other tool at its position at that time. A stroke cuts when it ends.
+/// solved as in a session, with the other tool at its position at that time.
 ///
 /// Scripted hands yield to forces, and a tool that slips earlier moves elsewhere: two sessions over the same
 /// network differ more by this than by the network. Replayed hands keep their path, so that only the forces
@@ -132,66 +137,43 @@ pub fn replay(
     let end_us = recordings.iter().map(last).max().unwrap_or(0) - zero_us + LEAD_US;
     let seat = |k: usize| Seat::of_recording(recordings[k], scripts[k], k as u16 + 1, zero_us);
     let replicas = (0..2).map(|_| Replica::new(Arc::clone(model), true));
-    let mut hands = TwoHands::new([seat(0)?, seat(1)?], replicas.collect(), Pace::STEADY, &[]);
+    let seats = [seat(0)?, seat(1)?];
+    let mut hands = TwoHands::new(model, seats, replicas.collect(), Pace::STEADY, &[]);
     hands.run_until(end_us, progress)?;
     Ok(hands.into_reference())
 }
 
-/// Transforms the stroke to the rest frame, as the room does.
-fn stroke_at_rest(replica: &Replica, request: &CutRequest) -> CutStroke {
-    let topology = replica.topology();
-    let shape = replica.haptic_shape();
-    let at_rest = |blade: &BladePoint| {
-        let rest = to_rest(topology, shape?, blade.tip_m.into())?;
-        let along = rest.frame * Vec3::from(blade.axis);
-        let axis = along.try_normalize(1e-6)?;
-        Some(BladePoint {
-            tip_m: rest.position.into(),
-            axis: axis.into(),
-            depth_m: blade.depth_m * along.norm(),
-        })
+/// Largest distance of the tips of parts from the paths of others, m.
+fn apart_m(parts: &[TimedCut], others: &[TimedCut]) -> f64 {
+    let path = |cut: &TimedCut| {
+        cut.part
+            .points
+            .iter()
+            .map(|p| Vec3::from(p.tip_m))
+            .collect::<Vec<_>>()
     };
-    let points = request.points.iter().map(|p| &p.blade);
-    CutStroke {
-        points: points.map(|p| at_rest(p).unwrap_or(*p)).collect(),
-        width_m: request.width_m,
+    // A part that joins begins at the last point of the part before.
+    let mut steps = Vec::new();
+    let mut end = None;
+    for other in others {
+        let from = end.filter(|_| other.part.joins);
+        let points: Vec<Vec3> = from.into_iter().chain(path(other)).collect();
+        steps.extend(points.windows(2).map(|w| (w[0], w[1])));
+        end = points.last().copied();
     }
-}
-
-/// Largest distance of the tip of one stroke from the path of the other, m.
-fn apart_m(stroke: &CutStroke, other: &CutStroke) -> f64 {
-    let from_path = |p: &BladePoint| {
-        let p = Vec3::from(p.tip_m);
-        let pieces = other.points.windows(2).map(|w| {
-            let (a, b) = (Vec3::from(w[0].tip_m), Vec3::from(w[1].tip_m));
+    let from_path = |p: Vec3| {
+        let apart = steps.iter().map(|&(a, b)| {
             let along = b - a;
             let share = (p - a).dot(&along) / along.norm_squared().max(f64::MIN_POSITIVE);
             (a + along * share.clamp(0.0, 1.0) - p).norm()
         });
-        pieces.fold(f64::INFINITY, f64::min)
+        apart.fold(f64::INFINITY, f64::min)
     };
-    stroke.points.iter().map(from_path).fold(0.0, f64::max)
-}
-
-/// A cut operation, as the room makes it.
-fn operation(
-    replica: &Replica,
-    stroke: CutStroke,
-    number: usize,
-    author: u16,
-) -> Result<Operation, ReferenceError> {
-    let topology = replica.topology();
-    let mut after = topology.clone();
-    cut(&mut after, &tissue_stroke(&stroke)).map_err(|e| ReferenceError::Cut(e.to_string()))?;
-    Ok(Operation {
-        id: OperationId(number as u64),
-        at: ServerTime::ZERO,
-        author: ParticipantId(author),
-        topology_version_before: topology.version(),
-        topology_version_after: after.version(),
-        hash_after: TopologyHash(after.hash().0),
-        kind: OperationKind::Cut(stroke),
-    })
+    parts
+        .iter()
+        .flat_map(path)
+        .map(from_path)
+        .fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -221,13 +203,13 @@ mod tests {
         }
         assert_eq!(a.cut_apart_m, 0.0);
         // The session's cut replaces the scripted one, and the report has the distance.
-        let mut moved = a.strokes[0].clone();
-        for point in &mut moved.points {
+        let mut moved = a.strokes.clone();
+        for point in moved.iter_mut().flat_map(|cut| &mut cut.part.points) {
             point.tip_m[2] -= 0.4e-3;
         }
         let scripts = [&scripts.holder, &scripts.cutter];
-        let given = run(&model, scripts, &[moved.clone()], |_| true).unwrap();
-        assert_eq!(given.strokes, [moved]);
+        let given = run(&model, scripts, &moved, |_| true).unwrap();
+        assert_eq!(given.strokes, moved);
         assert_ne!(given.topology_hash, a.topology_hash);
         assert!(
             (given.cut_apart_m - 0.4e-3).abs() < 0.05e-3,

@@ -1,16 +1,22 @@
 //! Two hands on one replica of the tissue, or on one each.
 
+use std::collections::VecDeque;
+use std::sync::Arc;
+
 use palpate_device::Sample;
 use palpate_haptics::ContactModel;
-use palpate_protocol::ClientTime;
-use palpate_protocol::operation::CutStroke;
-use palpate_protocol::request::CutRequest;
-use palpate_site::{Replica, ToolAt, hand_budget};
-use palpate_tissue::Budget;
+use palpate_protocol::operation::{Operation, OperationKind};
+use palpate_protocol::request::{CutRequest, RequestRefusal};
+use palpate_protocol::{
+    ClientTime, OperationId, ParticipantId, RequestId, ServerTime, TopologyHash,
+};
+use palpate_room::{Authority, CutJob, CutOrder, Cutter, LoggedCut, RequestedChange, TissueReport};
+use palpate_site::{Replica, ToolAt, hand_budget, tissue_stroke};
+use palpate_tissue::{Budget, CutHistory, Model, Topology};
 
 use super::check::{self, Checks};
 use super::seat::Seat;
-use super::{Quality, Reference, ReferenceError, apart_m, operation, stroke_at_rest};
+use super::{Quality, Reference, ReferenceError, TimedCut, apart_m};
 
 const TICK_US: i64 = 1000;
 
@@ -50,19 +56,66 @@ pub(super) struct TwoHands {
     solves: usize,
     checked: i64,
     checks: Checks,
-    /// Strokes that replace those of the hands, in order.
-    given: Vec<CutStroke>,
-    strokes: Vec<CutStroke>,
-    cut_apart_m: f64,
+    /// Cuts the hands' own strokes.
+    cutter: Cutter,
+    /// Parts of the hands' own strokes.
+    own: Vec<TimedCut>,
+    /// Cuts in place of the hands' own; `None` for their own.
+    given: Option<GivenCuts>,
+    cut: Vec<TimedCut>,
     cuts_s: Vec<f64>,
+}
+
+/// Author of all parts of a session, whose strokes begin at different times.
+const SESSION: ParticipantId = ParticipantId(0);
+
+fn hand_number(hand: usize) -> ParticipantId {
+    ParticipantId(hand as u16 + 1)
+}
+
+/// The parts that a session cut.
+struct GivenCuts {
+    waiting: VecDeque<TimedCut>,
+    topology: Arc<Topology>,
+    history: CutHistory,
+}
+
+impl GivenCuts {
+    fn new(model: &Arc<Model>, cuts: &[TimedCut]) -> Self {
+        let topology = Arc::new(Topology::new(Arc::clone(model)));
+        Self {
+            waiting: cuts.iter().cloned().collect(),
+            history: CutHistory::new(Arc::clone(&topology)),
+            topology,
+        }
+    }
+
+    /// The next part that is due, and its result.
+    fn poll(&mut self, at_s: f64) -> Result<Option<(TimedCut, LoggedCut)>, ReferenceError> {
+        let is_due = self.waiting.front().is_some_and(|cut| cut.at_s <= at_s);
+        let Some(cut) = is_due.then(|| self.waiting.pop_front()).flatten() else {
+            return Ok(None);
+        };
+        let part = tissue_stroke(SESSION, &cut.part);
+        let made = self.history.cut(&mut self.topology, part);
+        made.map_err(|e| ReferenceError::Cut(e.to_string()))?;
+        let logged = LoggedCut {
+            change: OperationKind::Cut(cut.part.clone()),
+            version: self.topology.version(),
+            hash: TopologyHash(self.topology.hash().0),
+            blade_at: None,
+        };
+        Ok(Some((cut, logged)))
+    }
 }
 
 impl TwoHands {
     pub(super) fn new(
+        model: &Arc<Model>,
         seats: [Seat; 2],
         replicas: Vec<Replica>,
         pace: Pace,
-        cuts: &[CutStroke],
+        cuts: &[TimedCut],
     ) -> Self {
         Self {
             solved: [seats[0].tool, seats[1].tool],
@@ -72,9 +125,10 @@ impl TwoHands {
             solves: 0,
             checked: 0,
             checks: Checks::default(),
-            given: cuts.to_vec(),
-            strokes: Vec::new(),
-            cut_apart_m: 0.0,
+            cutter: Authority::new(Arc::clone(model)).1,
+            own: Vec::new(),
+            given: (!cuts.is_empty()).then(|| GivenCuts::new(model, cuts)),
+            cut: Vec::new(),
             cuts_s: Vec::new(),
         }
     }
@@ -88,9 +142,9 @@ impl TwoHands {
                 error_percent: self.checks.changed_percent(),
             },
             topology_hash: self.replicas[0].topology().hash(),
+            cut_apart_m: apart_m(&self.cut, &self.own),
             cuts_s: self.cuts_s,
-            strokes: self.strokes,
-            cut_apart_m: self.cut_apart_m,
+            strokes: self.cut,
             forces: self.seats.map(|s| s.forces),
         }
     }
@@ -125,17 +179,36 @@ impl TwoHands {
         Ok(())
     }
 
-    /// Updates the tool poses, and cuts; returns whether a stroke has ended.
+    /// Updates the tool poses, and cuts; returns whether the tissue was cut.
     fn take(&mut self, us: i64, samples: &[Sample; 2]) -> Result<bool, ReferenceError> {
-        let mut is_cut = false;
+        let before = self.cut.len();
+        let at_s = self.seats[0].script_s(us);
         for (k, sample) in samples.iter().enumerate() {
-            if let Some(request) = self.seats[k].take(us, sample) {
-                self.cut(k, &request)?;
-                self.cuts_s.push(self.seats[k].script_s(us));
-                is_cut = true;
+            let Some(request) = self.seats[k].take(us, sample) else {
+                continue;
+            };
+            if request.is_last {
+                self.cuts_s.push(at_s);
+            }
+            if let Some(logged) = self.cut_own(k, request)?
+                && let OperationKind::Cut(part) = &logged.change
+            {
+                let part = part.clone();
+                self.own.push(TimedCut {
+                    at_s,
+                    part: part.clone(),
+                });
+                if self.given.is_none() {
+                    self.apply(hand_number(k), &logged)?;
+                    self.cut.push(TimedCut { at_s, part });
+                }
             }
         }
-        Ok(is_cut)
+        while let Some((cut, logged)) = self.given.as_mut().map_or(Ok(None), |g| g.poll(at_s))? {
+            self.apply(SESSION, &logged)?;
+            self.cut.push(cut);
+        }
+        Ok(self.cut.len() > before)
     }
 
     /// Whether a tool or its buttons changed since the last solve.
@@ -177,18 +250,43 @@ impl TwoHands {
         }
     }
 
-    /// Cuts every replica with the stroke of the hand `author`, or with its replacement.
-    fn cut(&mut self, author: usize, request: &CutRequest) -> Result<(), ReferenceError> {
-        let own = &self.replicas[author.min(self.replicas.len() - 1)];
-        let stroke = stroke_at_rest(own, request);
-        let number = self.strokes.len();
-        let given = self.given.get(number);
-        self.cut_apart_m = given.map_or(self.cut_apart_m, |given| {
-            self.cut_apart_m.max(apart_m(&stroke, given))
-        });
-        let stroke = given.cloned().unwrap_or(stroke);
-        self.strokes.push(stroke.clone());
-        let operation = operation(own, stroke, number, author as u16 + 1)?;
+    /// Cuts the own topology with a part of the stroke of a hand, as the room does; `None` if that parts nothing.
+    fn cut_own(
+        &mut self,
+        hand: usize,
+        request: CutRequest,
+    ) -> Result<Option<LoggedCut>, ReferenceError> {
+        let replica = &self.replicas[hand.min(self.replicas.len() - 1)];
+        let Some(shape) = replica.haptic_shape() else {
+            return Ok(None);
+        };
+        let order = CutOrder {
+            author: hand_number(hand),
+            request: RequestId(0),
+            change: RequestedChange::Cut(request),
+        };
+        let job = CutJob::new(&order, replica.topology(), shape);
+        match self.cutter.make(&job).0 {
+            TissueReport::Cut { result, .. } => match result {
+                Ok(logged) => Ok(Some(logged)),
+                Err(RequestRefusal::NothingCut | RequestRefusal::CanNotCut(_)) => Ok(None),
+                Err(refusal) => Err(ReferenceError::Cut(refusal.to_string())),
+            },
+            TissueReport::Settled { .. } => Ok(None),
+        }
+    }
+
+    /// Cuts every replica.
+    fn apply(&mut self, author: ParticipantId, logged: &LoggedCut) -> Result<(), ReferenceError> {
+        let operation = Operation {
+            id: OperationId(self.cut.len() as u64),
+            at: ServerTime::ZERO,
+            author,
+            topology_version_before: logged.version - 1,
+            topology_version_after: logged.version,
+            hash_after: logged.hash,
+            kind: logged.change.clone(),
+        };
         for replica in &mut self.replicas {
             replica.apply(&operation)?;
         }

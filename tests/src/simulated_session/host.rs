@@ -61,8 +61,9 @@ pub(crate) fn room_config(
         tick_hz,
         compensation,
         start_when_tools: u16::try_from(start_when_tools).unwrap_or(u16::MAX),
-        // A predictable token is safe: the simulation has no attacker.
+        // Predictable secrets are safe: the simulation has no attacker.
         fresh_token: |who| ResumeToken([who.0 as u8; 16]),
+        fresh_grant: |id| Grant((u128::MAX - u128::from(id)).to_le_bytes()),
     }
 }
 

@@ -69,6 +69,8 @@ impl Table {
             seed: 1,
             compensation: "adaptive",
             start_when,
+            view: None,
+            seats: None,
         })
         .unwrap()
     }

@@ -88,6 +88,7 @@ impl Tool {
         self.tick += 1;
         self.contact_points
             .tick(&self.blend, at(self.tick), MS, motion)
+            .0
     }
 }
 

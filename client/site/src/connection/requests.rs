@@ -11,8 +11,11 @@ use palpate_protocol::request::{Request, RequestKind, RequestRefusal, RequestRef
 use palpate_protocol::session::ClientEvent;
 use palpate_protocol::{OperationId, ParticipantId, RequestId};
 
-/// Maximum number of kept requests: a little more than a server accepts per second. Beyond it the oldest is dropped.
-const KEPT_MAX: usize = 64;
+use super::stroke_refusals::StrokeRefusals;
+
+/// Maximum number of kept requests: those of three seconds, so that a stroke survives until a lost connection is noticed.
+/// Beyond it the oldest is dropped.
+const KEPT_MAX: usize = 128;
 
 /// Bits that count the requests of one run: three days at 60 per second.
 const RUN_BITS: u32 = 24;
@@ -23,6 +26,9 @@ pub(super) struct Requests {
     me: ParticipantId,
     last: RequestId,
     open: VecDeque<Request>,
+    /// Latest requests that are not repeated, but whose refusal the user must see.
+    unrepeated: VecDeque<RequestId>,
+    strokes: StrokeRefusals,
     /// The first log operation not seen yet; repeated operations answer nothing.
     unseen: OperationId,
 }
@@ -34,6 +40,8 @@ impl Requests {
             me,
             last: RequestId(0),
             open: VecDeque::new(),
+            unrepeated: VecDeque::new(),
+            strokes: StrokeRefusals::default(),
             unseen: OperationId(0),
         }
     }
@@ -52,6 +60,9 @@ impl Requests {
     pub(super) fn number(&mut self, kind: RequestKind) -> Request {
         self.last = RequestId(self.last.0.wrapping_add(1));
         let id = self.last;
+        if let RequestKind::Cut(part) = &kind {
+            self.strokes.note_sent(id, part);
+        }
         let request = Request { id, kind };
         if is_felt(&request.kind) {
             if self.open.len() == KEPT_MAX {
@@ -59,14 +70,24 @@ impl Requests {
             }
             self.open.push_back(request.clone());
         }
+        if matches!(
+            request.kind,
+            RequestKind::SetTool(_) | RequestKind::Control(_)
+        ) {
+            if self.unrepeated.len() == KEPT_MAX {
+                self.unrepeated.pop_front();
+            }
+            self.unrepeated.push_back(id);
+        }
         request
     }
 
     /// Whether the user would notice the refused request. A refused report is ignored, because the next one replaces
     /// it.
-    pub(super) fn is_felt(&self, refused: &RequestRefused) -> bool {
+    pub(super) fn is_felt(&mut self, refused: &RequestRefused) -> bool {
         refused.reason == RequestRefusal::TopologyDiffers
-            || self.open.iter().any(|r| r.id == refused.id)
+            || self.unrepeated.contains(&refused.id)
+            || (self.open.iter().any(|r| r.id == refused.id) && self.strokes.is_shown(refused))
     }
 
     /// Processes an event that may answer a request.
@@ -83,7 +104,10 @@ impl Requests {
             return;
         }
         self.unseen = operation.id.next();
-        if operation.author == self.me && matches!(operation.kind, OperationKind::Cut(_)) {
+        if operation.author == self.me
+            && let OperationKind::Cut(part) = &operation.kind
+        {
+            self.strokes.note_cut(part);
             // Only cuts are open, and the server answers them in order.
             self.open.pop_front();
         }
@@ -114,6 +138,7 @@ pub(super) fn is_felt(kind: &RequestKind) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use palpate_protocol::control::Control;
     use palpate_protocol::operation::CutStroke;
     use palpate_protocol::request::CutRequest;
     use palpate_protocol::{ServerTime, TopologyHash};
@@ -124,10 +149,7 @@ mod tests {
     const ME: ParticipantId = ParticipantId(4);
 
     fn cut() -> RequestKind {
-        RequestKind::Cut(CutRequest {
-            points: Vec::new(),
-            width_m: 0.0,
-        })
+        RequestKind::Cut(CutRequest::whole(Vec::new(), 0.0))
     }
 
     fn done(id: u64, author: ParticipantId) -> ClientEvent {
@@ -139,6 +161,8 @@ mod tests {
             topology_version_after: 1,
             hash_after: TopologyHash(0),
             kind: OperationKind::Cut(CutStroke {
+                began: ServerTime::ZERO,
+                joins: false,
                 points: Vec::new(),
                 width_m: 0.0,
             }),
@@ -183,6 +207,17 @@ mod tests {
         assert_eq!(requests.number(cut()).id, RequestId(2));
         assert_eq!(requests.unanswered().len(), 1);
         assert_eq!(requests.give_up(requests.last()), 1);
+    }
+
+    #[test]
+    fn refused_control_is_shown_and_not_repeated() {
+        let mut requests = Requests::new(ME);
+        let control = requests.number(RequestKind::Control(Control::Undo));
+        assert!(requests.unanswered().is_empty());
+        assert!(requests.is_felt(&RequestRefused {
+            id: control.id,
+            reason: RequestRefusal::NothingToUndo,
+        }));
     }
 
     #[test]

@@ -22,17 +22,17 @@ use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::tool::part_owner;
 use palpate_protocol::{ClientTime, Span};
 use palpate_tissue::{
-    Budget, CutOutcome, Model, Reaction, Shape, Solver, SolverState, Successor, Tool, Topology,
+    Budget, CutHistory, CutOutcome, Model, PreparedCut, Reaction, Retired, Shape, Tissue, Tool,
+    Topology,
 };
 
-use crate::tools::{ToolAt, gather};
+use crate::tools::{ToolAt, gather, tissue_stroke};
 use contact_model::{contact_model, unusable};
-use prefetch::{MadeCut, Retired, cut_checked};
+use prefetch::change_checked;
 
-pub(crate) use prefetch::ReadyCut;
-pub use prefetch::{CutOrder, CutWorkerEvent, Prefetch, ReplicaError};
+pub use prefetch::{CutOrder, MadeCut, Prefetch, ReplicaError};
 pub use thin_view::{ThinCounters, ThinView};
-pub use view::{Drift, VIEW_ITERATIONS, VIEW_TOLERANCE, View, ViewCut};
+pub use view::{Drift, VIEW_ITERATIONS, VIEW_TOLERANCE, View};
 
 /// Period of the hand's solves, and the CPU time after which a solve starts no further iteration. Iterations within
 /// one solve are cheaper than a second solve, which gathers contacts and selects the active set again. The limit is
@@ -56,62 +56,52 @@ pub fn hand_budget(stop: &mut dyn FnMut() -> bool) -> Budget<'_> {
     }
 }
 
-/// One shape of the tissue and its solver.
-pub(crate) struct Side {
-    pub(crate) shape: Shape,
-    pub(crate) solver: Solver,
+/// The tissue under a hand; a spectator has none, and keeps the topology.
+pub(crate) enum HandTissue {
+    Present(Box<Tissue>),
+    Absent(Arc<Topology>),
 }
 
-impl Side {
-    pub(crate) fn new(topology: &Topology) -> Self {
-        Self {
-            shape: Shape::rest(topology),
-            solver: Solver::new(topology),
+impl HandTissue {
+    fn topology(&self) -> &Arc<Topology> {
+        match self {
+            Self::Present(tissue) => tissue.topology(),
+            Self::Absent(topology) => topology,
         }
     }
 
-    /// A second side on the same topology.
-    pub(crate) fn another(&self, topology: &Topology) -> Self {
-        Self {
-            shape: Shape::rest(topology),
-            solver: self.solver.another(topology),
+    fn tissue(&self) -> Option<&Tissue> {
+        match self {
+            Self::Present(tissue) => Some(tissue),
+            Self::Absent(_) => None,
         }
     }
 
-    /// Continues the state of another side on the topology after a cut.
-    pub(crate) fn resume(
-        state: SolverState,
-        topology: &Topology,
-        outcome: &CutOutcome,
-        successor: Successor,
-    ) -> Self {
-        let (solver, shape) = state.resume(topology, outcome, successor);
-        Self { shape, solver }
+    fn tissue_mut(&mut self) -> Option<&mut Tissue> {
+        match self {
+            Self::Present(tissue) => Some(tissue),
+            Self::Absent(_) => None,
+        }
     }
+}
 
-    /// Adopts a cut; the shape must be complete.
-    pub(crate) fn succeed(
-        &mut self,
-        topology: &Topology,
-        outcome: &CutOutcome,
-        successor: Successor,
-    ) {
-        self.shape.follow(topology, outcome);
-        self.solver.succeed(topology, successor);
-    }
+/// View and cuts of a thin subscriber.
+struct Thin {
+    view: ThinView,
+    history: CutHistory,
 }
 
 /// The client's replica of the tissue. Calling order: [`apply`](Self::apply) for every operation in log order; in
 /// between [`haptic_step`](Self::haptic_step) at any rate. [`detach_view`](Self::detach_view) moves the view to
 /// another thread.
 pub struct Replica {
-    topology: Arc<Topology>,
-    /// `None` for spectators.
-    haptic: Option<Box<Side>>,
+    haptic: HandTissue,
     /// `None` if it is detached, or for a thin subscriber.
     view: Option<View>,
-    /// View of a thin subscriber; `haptic` and `view` are then `None`.
-    thin: Option<ThinView>,
+    /// A thin subscriber has neither a hand nor a `view`.
+    thin: Option<Thin>,
+    /// Topology and strokes ahead of the shapes, while the log before the join is replayed.
+    replay: Option<(Arc<Topology>, CutHistory)>,
     tools: Vec<Tool>,
     others: ExternalWork,
 }
@@ -119,13 +109,16 @@ pub struct Replica {
 impl Replica {
     /// A replica of the uncut tissue; `with_hand` = false suits spectators and saves half the work.
     pub fn new(model: Arc<Model>, with_hand: bool) -> Self {
-        let topology = Arc::new(Topology::new(model));
-        let view = View::new(&topology);
+        let view = View::new(Tissue::new(model));
         Self {
-            haptic: with_hand.then(|| Box::new(view.another_side())),
+            haptic: if with_hand {
+                HandTissue::Present(Box::new(view.another_tissue()))
+            } else {
+                HandTissue::Absent(Arc::clone(view.topology()))
+            },
             view: Some(view),
             thin: None,
-            topology,
+            replay: None,
             tools: Vec::new(),
             others: ExternalWork::default(),
         }
@@ -135,10 +128,13 @@ impl Replica {
     pub fn thin(model: Arc<Model>) -> Self {
         let topology = Arc::new(Topology::new(model));
         Self {
-            haptic: None,
             view: None,
-            thin: Some(ThinView::new(&topology)),
-            topology,
+            thin: Some(Thin {
+                view: ThinView::new(&topology),
+                history: CutHistory::new(Arc::clone(&topology)),
+            }),
+            haptic: HandTissue::Absent(topology),
+            replay: None,
             tools: Vec::new(),
             others: ExternalWork::default(),
         }
@@ -146,34 +142,34 @@ impl Replica {
 
     /// The view of a thin subscriber; `None` for a full subscriber.
     pub fn thin_view(&self) -> Option<&ThinView> {
-        self.thin.as_ref()
+        self.thin.as_ref().map(|thin| &thin.view)
     }
 
     /// The same, mutable.
     pub fn thin_view_mut(&mut self) -> Option<&mut ThinView> {
-        self.thin.as_mut()
+        self.thin.as_mut().map(|thin| &mut thin.view)
     }
 
-    /// The topology of both shapes.
-    pub fn topology(&self) -> &Topology {
-        &self.topology
+    /// The newest topology.
+    pub fn topology(&self) -> &Arc<Topology> {
+        let ahead = self.replay.as_ref().map(|(topology, _)| topology);
+        ahead.unwrap_or_else(|| self.haptic.topology())
     }
 
     /// The haptic shape; `None` for spectators.
     pub fn haptic_shape(&self) -> Option<&Shape> {
-        self.haptic.as_ref().map(|h| &h.shape)
+        self.haptic.tissue().map(Tissue::shape)
     }
 
     /// Relative residual of the latest haptic solve; `None` for spectators.
     pub fn haptic_residual(&self) -> Option<f64> {
-        let side = self.haptic.as_ref()?;
-        Some(side.solver.report().residual)
+        Some(self.haptic.tissue()?.report().residual)
     }
 
     /// Whether forces changed in the latest haptic iteration, or a cut has just been adopted.
     pub(crate) fn is_unsettled(&self) -> bool {
-        let solver = self.haptic.as_ref().map(|side| &side.solver);
-        solver.is_some_and(|s| s.is_settling() || !s.report().steady)
+        let tissue = self.haptic.tissue();
+        tissue.is_some_and(|t| t.is_settling() || !t.report().steady)
     }
 
     /// The view; `None` if it is detached.
@@ -193,84 +189,88 @@ impl Replica {
 
     /// The cut worker's state, from the current topology on. `None` without a hand and a view.
     pub fn prefetch(&self) -> Option<Prefetch> {
-        let hand = || Some(self.haptic.as_ref()?.solver.follower());
-        let follower = self.view.as_ref().map(View::follower).or_else(hand)?;
-        Some(Prefetch::new(
-            &self.topology,
-            follower,
-            self.haptic.is_some(),
-        ))
+        let hand = self.haptic.tissue();
+        let view = self.view.as_ref().map(View::preparer);
+        let preparer = view.or_else(|| Some(hand?.preparer()))?;
+        Some(Prefetch::new(preparer, hand.is_some()))
     }
 
-    /// Applies an operation now; only a cut changes the tissue. On success version and hash match the operation; on
-    /// error nothing has changed. Returns the cut for a detached view.
-    pub fn apply(&mut self, operation: &Operation) -> Result<Option<ViewCut>, ReplicaError> {
+    /// Applies an operation now; only a cut, an undo, a redo or a reset changes the tissue. On success version and hash
+    /// match the operation; on error nothing has changed. Returns the cut for a detached view.
+    pub fn apply(&mut self, operation: &Operation) -> Result<Option<PreparedCut>, ReplicaError> {
         // Setting up a cut costs milliseconds; other operations skip it.
-        if !matches!(operation.kind, OperationKind::Cut(_)) {
+        if !operation.kind.changes_topology() {
             return Ok(None);
         }
-        if let Some(thin) = &mut self.thin {
-            let outcome = cut_checked(&mut self.topology, operation)?;
+        if let (Some(Thin { view, history }), HandTissue::Absent(topology)) =
+            (&mut self.thin, &mut self.haptic)
+        {
+            let outcome = repeat(topology, history, operation)?;
             if let Some(outcome) = outcome {
-                thin.follow(&self.topology, &outcome);
+                view.follow(topology, &outcome);
             }
             return Ok(None);
         }
         let mut prefetch = self.prefetch().ok_or_else(|| ReplicaError::Ended {
             operation: operation.id.to_string(),
         })?;
-        Ok(prefetch.make(operation)?.and_then(|made| self.follow(made)))
+        let Some(made) = prefetch.make(operation)? else {
+            return Ok(None);
+        };
+        let (cut, _) = self.adopt(made);
+        let Some(view) = &mut self.view else {
+            return Ok(Some(*cut));
+        };
+        view.take(*cut);
+        Ok(None)
     }
 
-    /// Adopts a cut now.
-    fn follow(&mut self, made: MadeCut) -> Option<ViewCut> {
-        self.topology = made.topology;
-        if let Some((side, successor)) = self.haptic.as_mut().zip(made.hand) {
-            side.solver.prolongate_all(&mut side.shape);
-            side.succeed(&self.topology, &made.outcome, successor);
-        }
-        let cut = ViewCut {
-            topology: Arc::clone(&self.topology),
-            outcome: made.outcome,
-            successor: made.view,
+    /// Applies an operation of the log before the join to the topology alone. [`end_replay`](Self::end_replay) follows.
+    pub(crate) fn replay(&mut self, operation: &Operation) -> Result<(), ReplicaError> {
+        let Some(tissue) = self.view.as_ref().map(View::tissue) else {
+            return self.apply(operation).map(drop);
         };
-        match &mut self.view {
-            Some(view) => {
-                view.take(cut);
+        if operation.kind.changes_topology() {
+            let begin = || (Arc::clone(tissue.topology()), tissue.history().clone());
+            let (topology, history) = self.replay.get_or_insert_with(begin);
+            repeat(topology, history, operation)?;
+        }
+        Ok(())
+    }
+
+    /// Builds both shapes of the replayed topology, at rest.
+    pub(crate) fn end_replay(&mut self) {
+        let Some((topology, history)) = self.replay.take() else {
+            return;
+        };
+        let view = View::new(Tissue::with_history(topology, history));
+        self.haptic = match self.haptic {
+            HandTissue::Present(_) => HandTissue::Present(Box::new(view.another_tissue())),
+            HandTissue::Absent(_) => HandTissue::Absent(Arc::clone(view.topology())),
+        };
+        self.view = Some(view);
+    }
+
+    /// Adopts the next cut of the log. Returns it for the view, and memory to free elsewhere.
+    pub fn adopt(&mut self, made: MadeCut) -> (Box<PreparedCut>, Option<Retired>) {
+        let retired = match (&mut self.haptic, made.hand) {
+            (HandTissue::Present(tissue), Some(hand)) => Some(tissue.succeed(hand)),
+            (haptic, _) => {
+                *haptic = HandTissue::Absent(Arc::clone(made.view.topology()));
                 None
             }
-            None => Some(cut),
-        }
-    }
-
-    /// Copies the state of the hand's side, to be continued on the topology of the next cut. Returns the tools of its
-    /// latest step; `None` without a hand.
-    pub fn capture(&mut self, state: &mut SolverState) -> Option<Vec<Tool>> {
-        let side = self.haptic.as_mut()?;
-        side.solver.capture(&side.shape, state);
-        Some(self.tools.clone())
-    }
-
-    /// Tools of the latest haptic step.
-    pub fn tools(&self) -> &[Tool] {
-        &self.tools
-    }
-
-    /// Exchanges topology and hand's side for the prepared next cut of the log. It computes and frees nothing.
-    pub fn exchange(&mut self, ready: ReadyCut) -> (Box<ViewCut>, Retired) {
-        let topology = std::mem::replace(&mut self.topology, ready.topology);
-        let hand = ready.hand.and_then(|side| self.haptic.replace(side));
-        (ready.view, Retired { topology, hand })
+        };
+        (made.view, retired)
     }
 
     /// Moves a tool that touched nothing in the latest solve, without a solve. Returns whether it still touches
     /// nothing.
     pub(crate) fn move_free(&mut self, tool: &ToolAt) -> bool {
-        let (Some(side), topology) = (&mut self.haptic, &self.topology) else {
+        let Some(tissue) = self.haptic.tissue_mut() else {
             return false;
         };
         let mut parts = tool.contacts();
-        parts.all(|part| side.solver.move_free(topology, &side.shape, &part))
+        parts.all(|part| tissue.move_free(&part))
     }
 
     /// Solves the haptic shape: the `own` tool at its position `now`, the other tools at their common time. Without
@@ -283,17 +283,15 @@ impl Replica {
         others: &[ToolAt],
         budget: Budget<'_>,
     ) -> ContactModel {
-        let version = self.topology.version();
+        let version = self.topology().version();
         let free = ContactModel::free_at(now, version);
-        let Some(side) = &mut self.haptic else {
+        let Some(tissue) = self.haptic.tissue_mut() else {
             return free;
         };
         let me = own.map(|t| t.participant);
         let others = others.iter().filter(|t| Some(t.participant) != me);
         gather(&mut self.tools, own.into_iter().chain(others));
-        let report = side
-            .solver
-            .step(&self.topology, &mut side.shape, &self.tools, budget);
+        let report = tissue.step(&self.tools, budget);
         let presses = own.is_some_and(|own| own.contacts().next().is_some());
         if report.rolled_back && presses {
             return unusable(&free);
@@ -335,5 +333,27 @@ impl ExternalWork {
     }
 }
 
+/// Makes the change of an operation on a topology without a shape; `None` if it changes no topology.
+fn repeat(
+    topology: &mut Arc<Topology>,
+    history: &mut CutHistory,
+    operation: &Operation,
+) -> Result<Option<CutOutcome>, ReplicaError> {
+    change_checked(topology.version(), operation, |change| {
+        let outcome = match change {
+            OperationKind::Cut(part) => {
+                Some(history.cut(topology, tissue_stroke(operation.author, part)))
+            }
+            OperationKind::Undone => history.undo(topology).map(Ok),
+            OperationKind::Redone => history.redo(topology),
+            OperationKind::Reset => Some(Ok(history.reset(topology))),
+            _ => None,
+        };
+        outcome.map(|outcome| outcome.map(|outcome| (Arc::clone(topology), outcome)))
+    })
+}
+
+#[cfg(test)]
+mod proxy_tests;
 #[cfg(test)]
 mod tests;

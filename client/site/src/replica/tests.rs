@@ -46,11 +46,13 @@ fn operation(replica: &mut Replica) -> Operation {
         depth_m: 4.0 * CELL,
     };
     let stroke = CutStroke {
+        began: ServerTime::ZERO,
+        joins: false,
         points: (2..9).map(point).collect(),
         width_m: 0.5e-3,
     };
-    let mut server = Topology::clone(&replica.topology);
-    cut(&mut server, &tissue_stroke(&stroke)).unwrap();
+    let mut server = Topology::clone(replica.topology());
+    cut(&mut server, &tissue_stroke(ParticipantId(1), &stroke).path).unwrap();
     Operation {
         id: OperationId(0),
         at: ServerTime::ZERO,
@@ -154,6 +156,44 @@ fn cut_gives_equal_hashes_on_all_replicas() {
         })
         .fold(0.0, f64::max);
     assert!(worst < 0.1e-3, "{worst}");
+}
+
+#[test]
+fn replayed_log_gives_the_replica_of_applied_operations() {
+    let mut applied = Replica::new(tissue(), true);
+    let cut = operation(&mut applied);
+    let undo = Operation {
+        id: OperationId(1),
+        topology_version_before: 1,
+        topology_version_after: 2,
+        hash_after: palpate_protocol::TopologyHash(applied.topology().hash().0),
+        kind: OperationKind::Undone,
+        ..cut.clone()
+    };
+    let redo = Operation {
+        id: OperationId(2),
+        topology_version_before: 2,
+        topology_version_after: 3,
+        kind: OperationKind::Redone,
+        ..cut.clone()
+    };
+    let mut replayed = Replica::new(tissue(), true);
+    for operation in [cut, undo, redo] {
+        applied.apply(&operation).unwrap();
+        replayed.replay(&operation).unwrap();
+        assert_eq!(applied.topology().hash(), replayed.topology().hash());
+    }
+    replayed.end_replay();
+    let own = tool(1, 5.0 * CELL, 3e-3);
+    let [a, b] = [applied, replayed].map(|mut replica| {
+        let force = replica.haptic_step(ClientTime::ZERO, Some(&own), &[], thorough());
+        assert_eq!(seen(&mut replica).topology().version(), 3);
+        force.force()
+    });
+    assert!(
+        a.norm() > 0.01 && (a - b).norm() < 1e-3 * a.norm(),
+        "{a} {b}"
+    );
 }
 
 #[test]

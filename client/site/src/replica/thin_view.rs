@@ -69,7 +69,13 @@ pub struct ThinView {
     newest: Option<ServerTime>,
     lag: Span,
     counters: ThinCounters,
+    /// Versions that returned to fewer nodes, and that number of nodes: displacements of further nodes from before
+    /// belong to nodes that are gone. The latest ones.
+    returns: VecDeque<(u32, usize)>,
 }
+
+/// Returns to fewer cuts that are remembered: displacements from before them arrive within seconds.
+const RETURNS_MAX: usize = 16;
 
 impl ThinView {
     /// The undeformed tissue.
@@ -83,6 +89,7 @@ impl ThinView {
             newest: None,
             lag: Span::ZERO,
             counters: ThinCounters::default(),
+            returns: VecDeque::new(),
         }
     }
 
@@ -131,6 +138,11 @@ impl ThinView {
             self.counters.unknown += 1;
             return;
         }
+        let is_gone =
+            |&(version, nodes): &(u32, usize)| received.topology_version < version && node >= nodes;
+        if self.returns.iter().any(is_gone) {
+            return;
+        }
         self.counters.received += 1;
         if self.received.len() <= node {
             self.received.resize(node + 1, None);
@@ -164,6 +176,15 @@ impl ThinView {
     pub fn follow(&mut self, topology: &Topology, outcome: &CutOutcome) {
         self.topology_version = topology.version();
         let shown = &mut self.shape.displacement;
+        if outcome.is_return() {
+            let nodes = topology.node_count() - outcome.doubled.len();
+            shown.truncate(nodes);
+            self.received.truncate(nodes);
+            if self.returns.len() == RETURNS_MAX {
+                self.returns.pop_front();
+            }
+            self.returns.push_back((topology.version(), nodes));
+        }
         for (_, from) in &outcome.doubled {
             shown.push(shown[*from as usize]);
         }

@@ -8,10 +8,9 @@ use std::sync::Arc;
 use palpate_protocol::ServerTime;
 use palpate_protocol::datagram::Corrections;
 use palpate_tissue::{
-    Budget, CutOutcome, Follower, Shape, StepReport, Successor, Tool, Topology, Vec3,
+    Budget, CutPreparer, PreparedCut, Shape, StepReport, Tissue, Tool, Topology, Vec3,
 };
 
-use super::Side;
 use super::history::History;
 use crate::tools::{ToolAt, gather};
 
@@ -37,86 +36,79 @@ pub struct Drift {
     pub nodes: usize,
 }
 
-/// A cut for the view.
-pub struct ViewCut {
-    pub(crate) topology: Arc<Topology>,
-    pub(crate) outcome: CutOutcome,
-    pub(crate) successor: Successor,
-}
-
 /// The view of the tissue. Calling order: [`take`](Self::take) for every cut in log order; in between
 /// [`step`](Self::step) with ascending times, and [`correct`](Self::correct) on corrections.
 pub struct View {
-    topology: Arc<Topology>,
-    side: Side,
+    tissue: Tissue,
     history: History,
     was_corrected: bool,
     tools: Vec<Tool>,
 }
 
 impl View {
-    pub(crate) fn new(topology: &Arc<Topology>) -> Self {
+    pub(crate) fn new(tissue: Tissue) -> Self {
         Self {
-            topology: Arc::clone(topology),
-            side: Side::new(topology),
+            tissue,
             history: History::default(),
             was_corrected: false,
             tools: Vec::new(),
         }
     }
 
-    /// A side on the same topology for a hand.
-    pub(crate) fn another_side(&self) -> Side {
-        self.side.another(&self.topology)
+    /// A tissue on the same topology for a hand.
+    pub(crate) fn another_tissue(&self) -> Tissue {
+        self.tissue.another()
     }
 
-    pub(crate) fn follower(&self) -> Follower {
-        self.side.solver.follower()
+    pub(crate) fn preparer(&self) -> CutPreparer {
+        self.tissue.preparer()
+    }
+
+    /// The tissue of the view.
+    pub fn tissue(&self) -> &Tissue {
+        &self.tissue
     }
 
     /// The shape of the view.
     pub fn shape(&self) -> &Shape {
-        &self.side.shape
+        self.tissue.shape()
     }
 
     /// The topology of the view.
-    pub fn topology(&self) -> &Topology {
-        &self.topology
+    pub fn topology(&self) -> &Arc<Topology> {
+        self.tissue.topology()
     }
 
     /// Adopts a cut.
-    pub fn take(&mut self, cut: ViewCut) {
-        self.topology = cut.topology;
-        self.side
-            .succeed(&self.topology, &cut.outcome, cut.successor);
+    pub fn take(&mut self, cut: PreparedCut) {
+        self.tissue.succeed(cut);
         self.history.clear();
     }
 
     /// Solves the view at time `s`.
     pub fn step(&mut self, s: ServerTime, tools: &[ToolAt], budget: Budget<'_>) -> &StepReport {
         gather(&mut self.tools, tools.iter());
-        let side = &mut self.side;
-        side.solver
-            .step(&self.topology, &mut side.shape, &self.tools, budget);
-        let changed = self.was_corrected || side.solver.report().visits[0] > 0;
+        self.tissue.step(&self.tools, budget);
+        let changed = self.was_corrected || self.tissue.report().visits[0] > 0;
         self.was_corrected = false;
-        self.history
-            .push(s, self.topology.version(), &side.shape, changed);
-        side.solver.report()
+        let version = self.topology().version();
+        self.history.push(s, version, self.tissue.shape(), changed);
+        self.tissue.report()
     }
 
     /// Compares a past view with the server's corrections, and blends the difference into the present one. `None` if
     /// that view is not kept or has another topology.
     pub fn correct(&mut self, corrections: &Corrections) -> Option<Drift> {
-        if corrections.topology_version != self.topology.version() {
+        let topology = self.tissue.topology();
+        if corrections.topology_version != topology.version() {
             return None;
         }
         let s = corrections.view_time;
         let known = self.history.at(s, corrections.topology_version)?;
         let mut drift = Drift::default();
-        let mut disturbed = Vec::new();
+        let mut moves = Vec::new();
         for &(node, theirs) in &corrections.nodes {
-            if node as usize >= self.topology.node_count() || self.topology.is_pinned(node) {
+            if node as usize >= topology.node_count() || topology.is_pinned(node) {
                 continue;
             }
             let Some(ours) = known.displacement(node) else {
@@ -125,15 +117,13 @@ impl View {
             let difference = Vec3::from(theirs.map(f64::from)) - ours;
             drift.max_m = drift.max_m.max(difference.norm());
             if difference.norm() > DRIFT_TOLERATED_M && self.history.is_news(node, s) {
-                self.side.shape.displacement[node as usize] += difference * BLEND;
-                disturbed.push(node);
+                moves.push((node, difference * BLEND));
             }
         }
-        if !disturbed.is_empty() {
-            drift.nodes = disturbed.len();
+        if !moves.is_empty() {
+            drift.nodes = moves.len();
             self.was_corrected = true;
-            let side = &mut self.side;
-            side.solver.disturb(&side.shape, &disturbed);
+            self.tissue.displace(&moves);
         }
         Some(drift)
     }

@@ -1,24 +1,29 @@
 //! Applying operations of the log at their due time.
 
-use palpate_protocol::operation::OperationKind;
+use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::request::RequestKind;
-use palpate_protocol::{ClientTime, ParticipantId, ServerTime, TopologyHash};
+use palpate_protocol::{ClientTime, ParticipantId, ServerTime, Span, TopologyHash};
 
+use super::controlled::Access;
 use super::cutting::is_cut;
-use super::operation_record::OperationRecord;
+use super::operation_record::{OperationRecord, word};
 use super::{Site, SiteError};
+
+/// Minimum time between two reports of the topology.
+const REPORT_PERIOD: Span = Span::from_millis(200);
 
 impl Site {
     /// Applies all operations that are due.
     pub fn advance(&mut self, now: ClientTime) -> Result<(), SiteError> {
         match self.common_time(now).filter(|_| !self.is_resyncing()) {
             Some((s, _)) => {
-                self.prepare_cut(s);
                 let result = self.apply_until(Some(s), now);
                 let is_all = result.is_ok() && self.deferred.front().is_none_or(|o| o.at > s);
-                // One report covers all due operations: the server accepts 50 requests per second, and a client that
-                // replays a hundred cuts must leave some for the hand.
-                if let Some((version, hash)) = self.unreported.take_if(|_| is_all) {
+                // One report covers all due operations: the server accepts 50 requests per second, and the hand's own
+                // strokes and the replay of the log must leave some for each other.
+                let is_due = is_all && self.next_report.is_none_or(|at| now >= at);
+                if let Some((version, hash)) = self.unreported.take_if(|_| is_due) {
+                    self.next_report = Some(now + REPORT_PERIOD);
                     self.report_topology(version, hash);
                 }
                 self.or_resync(result, now)
@@ -46,9 +51,11 @@ impl Site {
             return Ok(false);
         };
         if self.is_detached && is_cut(operation) {
-            if !self.exchange() {
+            if !self.adopt_cut() {
                 return Ok(false);
             }
+        } else if self.expected.is_some() {
+            self.replica.replay(operation)?;
         } else {
             self.replica.apply(operation)?;
         }
@@ -56,79 +63,141 @@ impl Site {
             return Ok(false);
         };
         self.counters.operations += 1;
-        let word = match &operation.kind {
-            OperationKind::Cut(_) => {
-                self.counters.cuts += 1;
-                if self.expected.is_none() {
-                    // The operation's version and hash were verified above.
-                    self.unreported =
-                        Some((operation.topology_version_after, operation.hash_after));
-                }
-                "cut"
-            }
-            OperationKind::Joined { participant, .. } => {
-                if *participant != self.me {
-                    self.notice_of(*participant, "joined");
-                }
-                "joined"
-            }
-            OperationKind::Left { participant, .. } => {
-                self.notice_of(*participant, "left");
-                self.roster.leave(*participant);
-                "left"
-            }
-            OperationKind::Disconnected { participant } => {
-                if *participant != self.me {
-                    self.roster.lose(*participant);
-                    self.notice_of(*participant, "lost the connection; the seat is kept");
-                }
-                "away"
-            }
-            OperationKind::Reconnected { participant } => {
-                if *participant != self.me {
-                    self.notice_of(*participant, "reconnected");
-                }
-                "back"
-            }
-            OperationKind::ToolChanged { participant, tool } => {
-                self.roster.change_tool(*participant, *tool);
-                "tool-changed"
-            }
-            OperationKind::Started { .. } => "started",
-            OperationKind::Compensation { .. } => "compensation",
-            OperationKind::Demoted {
-                participant,
-                wanted_us,
-                cap_us,
-            } => {
-                self.demote(*participant, *wanted_us, *cap_us);
-                "demoted"
-            }
-            OperationKind::Restored { participant } => {
-                self.restore(*participant);
-                "restored"
-            }
-        };
+        if is_cut(&operation) && self.expected.is_none() {
+            // The operation's version and hash were verified above.
+            self.unreported = Some((operation.topology_version_after, operation.hash_after));
+        }
+        self.take_effect(&operation);
         if operation.id.0 < self.unrecorded {
             // A resync repeats recorded operations.
             return Ok(true);
         }
         self.unrecorded = operation.id.0 + 1;
+        let shown = self.common_time(now).filter(|_| self.expected.is_none());
         let topology = self.replica.topology();
         self.applied.push_back(OperationRecord {
             id: operation.id.0,
-            kind: word.to_owned(),
+            kind: word(&operation.kind).to_owned(),
             at_us: operation.at.as_micros(),
             applied_us: now.as_micros(),
+            late_us: shown.map(|(s, _)| (s - operation.at).as_micros()),
             version: topology.version(),
-            // Only a cut changes the hash, and its hash was verified.
+            // Only changes of the topology change the hash, and their hashes were verified.
             hash: operation.hash_after.to_string(),
+            script_at_us: match &operation.kind {
+                OperationKind::Started { at } => Some(at.as_micros()),
+                _ => None,
+            },
             stroke: match &operation.kind {
                 OperationKind::Cut(stroke) => Some(stroke.clone()),
                 _ => None,
             },
         });
         Ok(true)
+    }
+
+    /// The effect of an operation on participants and counters. The replica has applied it.
+    fn take_effect(&mut self, operation: &Operation) {
+        match &operation.kind {
+            OperationKind::Cut(part) => {
+                let number = part.number(operation.author);
+                let latest = self.strokes_seen.insert(operation.author, number);
+                self.counters.cuts += u64::from(latest != Some(number));
+            }
+            OperationKind::Joined { participant, .. } => {
+                if *participant != self.me {
+                    self.notice_of(*participant, "joined");
+                }
+            }
+            OperationKind::Left { participant, .. } => {
+                self.notice_of(*participant, "left");
+                self.roster.leave(*participant);
+            }
+            OperationKind::Disconnected { participant } => {
+                if *participant == self.me {
+                    // The server released the tool that a freeze held.
+                    self.roster.release_held(self.me);
+                } else {
+                    self.roster.lose(*participant);
+                    self.notice_of(*participant, "lost the connection; the seat is kept");
+                }
+            }
+            OperationKind::Reconnected { participant } => {
+                if *participant != self.me {
+                    self.notice_of(*participant, "reconnected");
+                }
+            }
+            OperationKind::ToolChanged { participant, tool } => {
+                self.change_tool(*participant, *tool);
+            }
+            OperationKind::Demoted {
+                participant,
+                wanted_us,
+                cap_us,
+            } => {
+                self.demote(*participant, *wanted_us, *cap_us);
+            }
+            OperationKind::Restored { participant } => {
+                self.restore(*participant);
+            }
+            _ => self.take_control(operation),
+        }
+    }
+
+    /// The effect of an operation that follows from a control; others have their effect on arrival.
+    fn take_control(&mut self, operation: &Operation) {
+        match &operation.kind {
+            OperationKind::Muted {
+                participant,
+                is_muted,
+            } => {
+                self.mute(*participant, *is_muted);
+            }
+            OperationKind::Frozen { is_frozen, held } => {
+                self.freeze(is_frozen.then_some(held), operation.at);
+            }
+            OperationKind::Reset => {
+                self.notice_of(operation.author, "has returned to the uncut tissue");
+            }
+            OperationKind::Undone => {
+                self.notice_of(operation.author, "has taken back the last cut");
+            }
+            OperationKind::Redone => {
+                self.notice_of(operation.author, "has repeated the last cut");
+            }
+            OperationKind::ForceLimit {
+                participant,
+                newtons,
+            } => {
+                self.limit_force(*participant, *newtons);
+            }
+            OperationKind::Access {
+                is_locked,
+                seats,
+                spectators,
+            } => {
+                let access = Access {
+                    is_locked: *is_locked,
+                    seats: *seats,
+                    spectators: *spectators,
+                };
+                self.change_access(operation.author, access);
+            }
+            OperationKind::CompensationMode { mode } => {
+                self.session.compensation = Some(*mode);
+                self.notice_of(operation.author, "has changed the rule for the delay");
+            }
+            OperationKind::Annotated(annotation) => {
+                self.session.annotate(annotation);
+            }
+            OperationKind::AnnotationRemoved { id } => {
+                self.session.annotations.remove(id);
+            }
+            OperationKind::CameraShown(view) => {
+                self.session.camera = Some(*view);
+            }
+            _ => {}
+        }
     }
 
     pub(super) fn compare(&self, version: u32, hash: TopologyHash) -> Result<(), SiteError> {

@@ -95,21 +95,16 @@ impl Site {
             Some((s, _)) => self.roster.haptic_tools_at(s, self.me),
             None => Vec::new(),
         };
-        // Copying the state for a cut has used the time of this step.
-        let is_spent = self.cuts.take_captured();
-        if let Some(last) = &mut self.last_solve {
-            if last.holds(now, own.as_ref(), &others, &mut self.replica) {
-                last.model.solved_at = now;
-                return Some(last.model);
-            }
-            let version = self.replica.topology().version();
-            if is_spent && last.model.topology_version == version {
-                return Some(last.model);
-            }
+        if let Some(last) = &mut self.last_solve
+            && last.holds(now, own.as_ref(), &others, &mut self.replica)
+        {
+            last.model.solved_at = now;
+            last.model.force_limit_n = self.session.force_limit_n;
+            return Some(last.model);
         }
-        let model = self.replica.haptic_step(now, own.as_ref(), &others, budget);
+        let mut model = self.replica.haptic_step(now, own.as_ref(), &others, budget);
+        model.force_limit_n = self.session.force_limit_n;
         self.counters.haptic_solves += 1;
-        self.lead_cut();
         self.last_solve = Some(LastSolve {
             at: now,
             own,

@@ -9,6 +9,7 @@
 //! It reads no clock: every call passes the time.
 
 mod applying;
+mod controlled;
 mod cutting;
 mod grid;
 mod hand;
@@ -17,7 +18,7 @@ mod resync;
 mod resync_policy;
 mod thin_site;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use palpate_protocol::clock::ClockMap;
@@ -31,16 +32,17 @@ use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{
     ClientTime, LocalSample, ParticipantId, ServerTime, Span, ToolSample, TopologyHash,
 };
-use palpate_tissue::{Budget, Model, Shape};
+use palpate_tissue::{Budget, Model, PreparedCut, Shape};
 
 use cutting::Cuts;
 use hand::LastSolve;
 use resync::ResyncState;
 use resync_policy::ResyncPolicy;
 
-use crate::replica::{Prefetch, Replica, ReplicaError, View, ViewCut};
+use crate::replica::{Prefetch, Replica, ReplicaError, View};
 use crate::tools::{Roster, StrokeCollector, ToolAt};
 
+pub use controlled::{Access, SessionState};
 pub use grid::{grid_index, grid_time};
 pub use operation_record::OperationRecord;
 pub use resync_policy::RESYNCS_MAX;
@@ -85,7 +87,7 @@ pub struct ViewFrame {
 /// Updates for a detached view, in order.
 pub enum ViewUpdate {
     /// A cut to adopt.
-    Cut(Box<ViewCut>),
+    Cut(Box<PreparedCut>),
     /// Corrections of a past view.
     Corrections(Corrections),
 }
@@ -95,7 +97,7 @@ pub enum ViewUpdate {
 pub struct SiteCounters {
     /// Operations applied.
     pub operations: u64,
-    /// Cuts among them.
+    /// Strokes that cut among them.
     pub cuts: u64,
     /// Cut requests that the server rejected.
     pub cuts_refused: u64,
@@ -140,7 +142,10 @@ pub struct Site {
     expected: Option<(u32, TopologyHash)>,
     /// The newest topology that was not reported to the server.
     unreported: Option<(u32, TopologyHash)>,
+    next_report: Option<ClientTime>,
     strokes: Option<StrokeCollector>,
+    /// The latest stroke of every participant.
+    strokes_seen: BTreeMap<ParticipantId, u64>,
     started: Option<ServerTime>,
     requests: VecDeque<RequestKind>,
     notices: VecDeque<String>,
@@ -154,6 +159,7 @@ pub struct Site {
     /// The first operation that is not recorded yet.
     unrecorded: u64,
     counters: SiteCounters,
+    session: SessionState,
 }
 
 impl Site {
@@ -182,7 +188,9 @@ impl Site {
             view_updates: VecDeque::new(),
             expected: Some((welcome.topology_version, welcome.topology_hash)),
             unreported: None,
+            next_report: None,
             strokes: blade_length_m.map(StrokeCollector::new),
+            strokes_seen: BTreeMap::new(),
             started: welcome.session_started_at,
             requests: VecDeque::new(),
             notices: VecDeque::new(),
@@ -193,7 +201,13 @@ impl Site {
             next_operation: 0,
             unrecorded: 0,
             counters: SiteCounters::default(),
+            session: SessionState::default(),
         }
+    }
+
+    /// Adds a request of this participant: another tool, or a control.
+    pub fn request(&mut self, kind: RequestKind) {
+        self.requests.push_back(kind);
     }
 
     /// Processes a session event.
@@ -210,6 +224,7 @@ impl Site {
             ClientEvent::Operation(operation) => self.handle_operation(operation, now)?,
             ClientEvent::CaughtUp => {
                 if let Some((version, hash)) = self.expected.take() {
+                    self.replica.end_replay();
                     self.compare(version, hash)?;
                     self.end_resync();
                     self.report_topology(version, hash);
@@ -226,6 +241,11 @@ impl Site {
                     self.notice(format!("the server rejected {}: {reason}", refused.id));
                 }
             },
+            ClientEvent::Invitation(invitation) => {
+                // Notices are printed and recorded; the grant is for the page alone.
+                let id = invitation.id;
+                self.notice(format!("invitation {id} is ready; its link is on the page"));
+            }
             // This participant's samples come from the hand itself.
             ClientEvent::Motion(track) if track.participant != self.me => {
                 for sample in track.samples {
@@ -298,12 +318,15 @@ impl Site {
     /// view takes [`poll_view_update`](Self::poll_view_update) and [`next_view`](Self::next_view).
     pub fn detach(&mut self) -> Option<(Prefetch, View)> {
         let is_under_way = self.expected.is_some() || self.is_resyncing();
-        if is_under_way || self.is_detached || self.deferred.iter().any(cutting::is_cut) {
+        if is_under_way || self.is_detached {
             return None;
         }
         let prefetch = self.replica.prefetch()?;
         let view = self.replica.detach_view()?;
         self.is_detached = true;
+        for cut in self.deferred.iter().filter(|o| cutting::is_cut(o)) {
+            self.cuts.make(cut);
+        }
         Some((prefetch, view))
     }
 
@@ -443,8 +466,10 @@ impl Site {
         self.roster.is_demoted(self.me)
     }
 
+    /// The own tool; `None` while it is inactive or holds its pose, and then there is no force.
     fn own_tool(&self) -> Option<ToolDescription> {
-        self.roster.tool_of(self.me)
+        let tool = self.roster.tool_of(self.me);
+        tool.filter(|_| !self.roster.is_frozen())
     }
 
     /// Notice of a participant's action. The initial log and a resync give none, because the roster already contains
@@ -468,6 +493,8 @@ impl Site {
     }
 }
 
+#[cfg(test)]
+mod controlled_tests;
 #[cfg(test)]
 mod states;
 #[cfg(test)]

@@ -12,6 +12,7 @@ use palpate_protocol::handshake::Welcome;
 use palpate_protocol::session::ClientEvent;
 use palpate_protocol::{ClientTime, ServerTime};
 
+use super::controlled::SessionState;
 use super::cutting::Cuts;
 use super::resync_policy::{DRIFT_MAX_M, DRIFT_PATIENCE, RESYNCS_MAX, ResyncDecision, WINDOW};
 use super::{Site, SiteError};
@@ -154,6 +155,7 @@ impl Site {
             Replica::new(model, welcome.role.has_tool())
         };
         self.roster = Roster::new(&welcome.roster);
+        self.session = SessionState::default();
         self.schedule = DelaySchedule::new(&welcome.compensation);
         self.expected = Some((welcome.topology_version, welcome.topology_hash));
         self.started = welcome.session_started_at;
@@ -163,6 +165,7 @@ impl Site {
         self.is_detached = false;
         self.unreported = None;
         self.cuts = Cuts::default();
+        self.strokes_seen.clear();
         self.last_solve = None;
         self.view_updates = VecDeque::new();
         (self.counters.operations, self.counters.cuts) = (0, 0);

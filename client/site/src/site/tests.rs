@@ -11,8 +11,8 @@ use super::*;
 pub(super) use crate::replica::Drift;
 use crate::test_support::soft_block;
 
-const ME: ParticipantId = ParticipantId(1);
-const OTHER: ParticipantId = ParticipantId(2);
+pub(super) const ME: ParticipantId = ParticipantId(1);
+pub(super) const OTHER: ParticipantId = ParticipantId(2);
 
 fn model() -> Arc<Model> {
     soft_block([6, 6, 4])
@@ -81,7 +81,7 @@ pub(super) fn budget() -> Budget<'static> {
     Budget::new(3, 1e-2)
 }
 
-fn operation(id: u64, at_ms: i64, kind: OperationKind) -> ClientEvent {
+pub(super) fn operation(id: u64, at_ms: i64, kind: OperationKind) -> ClientEvent {
     ClientEvent::Operation(Operation {
         id: OperationId(id),
         at: ServerTime::from_micros(at_ms * 1000),
@@ -93,7 +93,7 @@ fn operation(id: u64, at_ms: i64, kind: OperationKind) -> ClientEvent {
     })
 }
 
-fn own(t: i64, x: f64, pressed: bool) -> LocalSample {
+pub(super) fn own(t: i64, x: f64, pressed: bool) -> LocalSample {
     LocalSample {
         time: ms(t),
         pose: Pose {
@@ -252,6 +252,8 @@ pub(super) fn cut_of(hash_after: TopologyHash) -> ClientEvent {
         topology_version_after: 1,
         hash_after,
         kind: OperationKind::Cut(CutStroke {
+            began: ServerTime::ZERO,
+            joins: false,
             points: (0..7).map(point).collect(),
             width_m: 0.0,
         }),
@@ -267,8 +269,25 @@ pub(super) fn hash_of_the_cut() -> TopologyHash {
         unreachable!()
     };
     let mut topology = palpate_tissue::Topology::new(model());
-    palpate_tissue::cut(&mut topology, &crate::tools::tissue_stroke(stroke)).unwrap();
+    palpate_tissue::cut(
+        &mut topology,
+        &crate::tools::tissue_stroke(OTHER, stroke).path,
+    )
+    .unwrap();
     TopologyHash(topology.hash().0)
+}
+
+#[test]
+fn cut_that_waits_at_the_join_goes_to_the_cut_worker() {
+    let mut site = site(0);
+    tell(&mut site, cut_of(hash_of_the_cut()), 50);
+    let (mut prefetch, _view) = site.detach().unwrap();
+    site.advance(ms(120)).unwrap();
+    assert_eq!(site.replica().topology().version(), 0, "not made yet");
+    prefetch.order(site.poll_cut_order().unwrap());
+    site.handle_cut(prefetch.work().unwrap().unwrap());
+    site.advance(ms(124)).unwrap();
+    assert_eq!(site.replica().topology().version(), 1);
 }
 
 #[test]
@@ -301,6 +320,8 @@ fn resync_restores_replica_after_different_cut() {
     assert_eq!(site.replica().topology().hash().0, truth.0);
     assert_eq!((site.counters().resyncs, site.counters().cuts), (1, 1));
     assert!(site.view_step(ms(160), budget()).is_some());
+    let shown = site.replica().view().unwrap().topology().version();
+    assert_eq!(shown, 1, "the shapes have the cuts of the log");
     assert!(site.detach().is_some(), "cuts are made ahead again");
 }
 
@@ -506,10 +527,15 @@ fn simultaneous_cuts_give_one_topology_report() {
         let OperationKind::Cut(stroke) = &mut operation.kind else {
             unreachable!()
         };
+        stroke.began = ServerTime::from_micros(id as i64);
         for point in &mut stroke.points {
             point.tip_m[1] = y;
         }
-        palpate_tissue::cut(&mut topology, &crate::tools::tissue_stroke(stroke)).unwrap();
+        palpate_tissue::cut(
+            &mut topology,
+            &crate::tools::tissue_stroke(OTHER, stroke).path,
+        )
+        .unwrap();
         operation.id = OperationId(id as u64);
         operation.topology_version_before = id as u32;
         operation.topology_version_after = topology.version();

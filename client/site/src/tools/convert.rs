@@ -1,15 +1,19 @@
 //! Conversions between protocol and tissue types.
 
 use nalgebra::{Quaternion, UnitQuaternion};
-use palpate_protocol::Pose;
 use palpate_protocol::operation::{BladePoint, CutStroke};
-use palpate_tissue::Vec3;
+use palpate_protocol::{ParticipantId, Pose};
+use palpate_tissue::{StrokePart, Vec3};
 
-/// A protocol stroke as a tissue stroke.
-pub fn tissue_stroke(stroke: &CutStroke) -> palpate_tissue::CutStroke {
-    palpate_tissue::CutStroke {
-        points: stroke.points.iter().map(tissue_blade).collect(),
-        width_m: stroke.width_m,
+/// A part of an author's stroke as the tissue's type.
+pub fn tissue_stroke(author: ParticipantId, part: &CutStroke) -> StrokePart {
+    StrokePart {
+        path: palpate_tissue::CutStroke {
+            points: part.points.iter().map(tissue_blade).collect(),
+            width_m: part.width_m,
+        },
+        stroke: Some(part.number(author)),
+        joins: part.joins,
     }
 }
 

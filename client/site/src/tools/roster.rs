@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use palpate_protocol::compensation::BRIDGE;
 use palpate_protocol::handshake::{ROSTER_MAX, RosterEntry};
+use palpate_protocol::operation::HeldTool;
 use palpate_protocol::timeline::Timeline;
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{ParticipantId, ServerTime, Span, ToolSample};
@@ -27,6 +28,10 @@ struct Seat {
     tool: Option<ToolDescription>,
     /// Whether the participant is demoted: the tool is inactive, because the participant's network is too slow.
     demoted: bool,
+    /// Whether the instructor has muted the tool, which is then inactive.
+    muted: bool,
+    /// The pose that the tool holds while the session is frozen.
+    held: Option<HeldTool>,
     /// Timeline for the view, queried on the common grid.
     seen: Timeline,
     /// Timeline for the hand, queried at any time. Corrections are blended along the queried times, so each use has
@@ -35,9 +40,18 @@ struct Seat {
 }
 
 impl Seat {
-    /// The tool, unless its participant is demoted.
+    /// The tool, unless its participant is demoted or muted.
     fn active_tool(&self) -> Option<ToolDescription> {
-        self.tool.filter(|_| !self.demoted)
+        self.tool.filter(|_| !self.demoted && !self.muted)
+    }
+
+    /// The tool in a frozen session.
+    fn held_tool(&self) -> Option<ToolAt> {
+        Some(ToolAt::held(self.active_tool()?, self.held.as_ref()?))
+    }
+
+    fn forget_motion(&mut self) {
+        (self.seen, self.felt) = (Timeline::default(), Timeline::default());
     }
 }
 
@@ -46,6 +60,8 @@ impl Seat {
 #[derive(Debug, Clone, Default)]
 pub struct Roster {
     seats: BTreeMap<ParticipantId, Seat>,
+    /// Begin of the freeze, if the session is frozen.
+    frozen_from: Option<ServerTime>,
 }
 
 impl Roster {
@@ -68,6 +84,8 @@ impl Roster {
                 name: entry.name,
                 tool: entry.tool,
                 demoted: false,
+                muted: false,
+                held: None,
                 seen: Timeline::default(),
                 felt: Timeline::default(),
             };
@@ -83,8 +101,57 @@ impl Roster {
     /// Clears the timelines of a disconnected participant: the tool is inactive until its next sample.
     pub fn lose(&mut self, who: ParticipantId) {
         if let Some(seat) = self.seats.get_mut(&who) {
-            (seat.seen, seat.felt) = (Timeline::default(), Timeline::default());
+            seat.forget_motion();
+            seat.held = None;
         }
+    }
+
+    /// Ends the hold of a tool by a freeze.
+    pub fn release_held(&mut self, who: ParticipantId) {
+        if let Some(seat) = self.seats.get_mut(&who) {
+            seat.held = None;
+        }
+    }
+
+    /// Mutes a tool, or makes it active again.
+    pub fn set_muted(&mut self, who: ParticipantId, muted: bool) {
+        if let Some(seat) = self.seats.get_mut(&who) {
+            seat.muted = muted;
+        }
+        if muted {
+            self.lose(who);
+        }
+    }
+
+    /// Whether a participant's tool is muted.
+    pub fn is_muted(&self, who: ParticipantId) -> bool {
+        self.seats.get(&who).is_some_and(|seat| seat.muted)
+    }
+
+    /// Holds these tools from a time on; all others are inactive until [`release`](Self::release).
+    pub fn freeze(&mut self, held: &[HeldTool], from: ServerTime) {
+        self.frozen_from = Some(from);
+        for seat in self.seats.values_mut() {
+            // The motion after the freeze begins with new samples.
+            seat.forget_motion();
+            seat.held = None;
+        }
+        for tool in held {
+            if let Some(seat) = self.seats.get_mut(&tool.participant) {
+                seat.held = Some(*tool);
+            }
+        }
+    }
+
+    /// Lets all tools move again.
+    pub fn release(&mut self) {
+        self.frozen_from = None;
+        self.seats.values_mut().for_each(|seat| seat.held = None);
+    }
+
+    /// Whether the session is frozen.
+    pub fn is_frozen(&self) -> bool {
+        self.frozen_from.is_some()
     }
 
     /// Demotes a participant or restores the tool.
@@ -108,6 +175,10 @@ impl Roster {
 
     /// Adds a sample of a participant's tool; unknown participants are ignored.
     pub fn insert(&mut self, who: ParticipantId, sample: ToolSample) {
+        // Late samples from before the freeze would lead the tool through them afterwards.
+        if self.frozen_from.is_some_and(|from| sample.time <= from) {
+            return;
+        }
         if let Some(seat) = self.seats.get_mut(&who) {
             seat.seen.insert(sample);
             seat.felt.insert(sample);
@@ -117,6 +188,9 @@ impl Roster {
     /// All tools at a time of the common grid. Query in ascending order: late samples are blended in from one query
     /// to the next.
     pub fn view_tools_at(&mut self, s: ServerTime) -> Vec<ToolAt> {
+        if self.is_frozen() {
+            return self.seats.values().filter_map(Seat::held_tool).collect();
+        }
         let at = |(who, seat): (&ParticipantId, &mut Seat)| {
             let shown = seat.seen.at(s)?;
             Some(ToolAt::shown(*who, seat.active_tool()?, &shown))
@@ -127,13 +201,23 @@ impl Roster {
     /// Whether a tool's pose at `s` is extrapolated from samples that are too old, so that the view differs from the
     /// server's because of the network. Silent participants have no active tool.
     pub fn is_extrapolated(&self, s: ServerTime) -> bool {
-        let others = self.seats.values().filter(|seat| !seat.demoted);
+        if self.is_frozen() {
+            return false;
+        }
+        let others = self
+            .seats
+            .values()
+            .filter(|seat| !seat.demoted && !seat.muted);
         let mut newest = others.filter_map(|seat| seat.seen.newest());
         newest.any(|newest| (BRIDGED_MAX..SILENT).contains(&(s - newest)))
     }
 
     /// The tools of all participants but `me` at any time, for the haptic shape. Query in ascending order.
     pub fn haptic_tools_at(&mut self, s: ServerTime, me: ParticipantId) -> Vec<ToolAt> {
+        if self.is_frozen() {
+            let others = self.seats.iter().filter(|(who, _)| **who != me);
+            return others.filter_map(|(_, seat)| seat.held_tool()).collect();
+        }
         let at = |(who, seat): (&ParticipantId, &mut Seat)| {
             let shown = seat.felt.at(s)?;
             Some(ToolAt::shown(*who, seat.active_tool()?, &shown))
@@ -142,7 +226,7 @@ impl Roster {
         others.filter_map(at).collect()
     }
 
-    /// The tool of a participant; `None` while demoted.
+    /// The tool of a participant; `None` while demoted or muted.
     pub fn tool_of(&self, who: ParticipantId) -> Option<ToolDescription> {
         self.seats.get(&who)?.active_tool()
     }

@@ -1,8 +1,8 @@
-//! Converts the path of the own blade, while its button is held, into cut requests.
+//! Converts the path of the own blade, while its button is held, into requests for parts of a stroke.
 
 use palpate_protocol::operation::STROKE_MAX_POINTS;
 use palpate_protocol::request::{CutRequest, TimedBladePoint};
-use palpate_protocol::{Pose, ServerTime};
+use palpate_protocol::{Pose, ServerTime, Span};
 
 use super::convert::wire_blade;
 
@@ -13,6 +13,9 @@ const POINT_SPACING_M: f64 = 0.75e-3;
 /// Minimum distance of the release point from the point before, m; closer points define no direction.
 const LAST_STEP_MIN_M: f64 = 0.1e-3;
 
+/// Time between two parts of a stroke: two thirds of the requests that a server accepts.
+const PART_PERIOD: Span = Span::from_millis(30);
+
 /// Width of the wound, m: that of a scalpel.
 const WIDTH_M: f64 = 0.5e-3;
 
@@ -20,9 +23,18 @@ const WIDTH_M: f64 = 0.5e-3;
 #[derive(Debug, Clone)]
 pub struct StrokeCollector {
     length_m: f64,
+    open: Option<OpenStroke>,
+}
+
+#[derive(Debug, Clone)]
+struct OpenStroke {
+    began: ServerTime,
+    /// From the last point of the latest part on.
     points: Vec<TimedBladePoint>,
     /// The latest blade pose, whether or not it became a point.
-    last: Option<TimedBladePoint>,
+    last: TimedBladePoint,
+    part_at: ServerTime,
+    has_parts: bool,
 }
 
 impl StrokeCollector {
@@ -30,56 +42,66 @@ impl StrokeCollector {
     pub fn new(length_m: f64) -> Self {
         Self {
             length_m,
-            points: Vec::new(),
-            last: None,
+            open: None,
         }
     }
 
-    /// Adds a blade pose and the state of its button. Returns a stroke on release, or a piece of a stroke at the
-    /// maximum length of a request.
+    /// Adds a blade pose and the state of its button. Returns a part of the stroke when one is due, and the last part on
+    /// release.
     pub fn push(&mut self, time: ServerTime, pose: &Pose, pressed: bool) -> Option<CutRequest> {
         if !pressed {
-            return self.finish();
+            return self.open.take().and_then(OpenStroke::finish);
         }
-        // A better clock estimate may step back a little; stroke times must ascend.
-        let time = self.last.map_or(time, |l| time.max(l.time));
-        let point = TimedBladePoint {
+        let mut point = TimedBladePoint {
             time,
             blade: wire_blade(pose, self.length_m),
         };
-        self.last = Some(point);
-        let far = self
-            .points
-            .last()
-            .is_none_or(|l| distance(l, &point) >= POINT_SPACING_M);
-        if !far {
-            return None;
+        let open = self.open.get_or_insert_with(|| OpenStroke {
+            began: time,
+            points: vec![point],
+            last: point,
+            part_at: time,
+            has_parts: false,
+        });
+        // A better clock estimate may step back a little; stroke times must ascend.
+        point.time = time.max(open.last.time);
+        open.last = point;
+        if open.is_far(POINT_SPACING_M) {
+            open.points.push(point);
         }
-        self.points.push(point);
-        if self.points.len() < STROKE_MAX_POINTS {
-            return None;
-        }
-        let piece = std::mem::replace(&mut self.points, vec![point]);
-        Some(CutRequest {
-            points: piece,
-            width_m: WIDTH_M,
-        })
+        let is_due =
+            point.time - open.part_at >= PART_PERIOD || open.points.len() == STROKE_MAX_POINTS;
+        (is_due && open.points.len() >= 2).then(|| open.part(false))
+    }
+}
+
+impl OpenStroke {
+    /// Whether the blade is this far from the last point, m.
+    fn is_far(&self, by_m: f64) -> bool {
+        let from = self.points.last();
+        from.is_none_or(|p| distance(p, &self.last) >= by_m)
     }
 
-    fn finish(&mut self) -> Option<CutRequest> {
-        let end = self.last.take()?;
-        let mut points = std::mem::take(&mut self.points);
-        if points
-            .last()
-            .is_some_and(|l| distance(l, &end) >= LAST_STEP_MIN_M)
-        {
-            points.push(end);
-        }
-        // A single point sweeps no surface.
-        (points.len() >= 2).then_some(CutRequest {
+    /// The path since the latest part.
+    fn part(&mut self, is_last: bool) -> CutRequest {
+        self.has_parts = true;
+        self.part_at = self.last.time;
+        let end = self.points.last().copied();
+        let points = std::mem::replace(&mut self.points, end.into_iter().collect());
+        CutRequest {
+            began: self.began,
             points,
             width_m: WIDTH_M,
-        })
+            is_last,
+        }
+    }
+
+    /// The last part; `None` for a stroke that has not moved, because a single point sweeps no surface.
+    fn finish(mut self) -> Option<CutRequest> {
+        if self.is_far(LAST_STEP_MIN_M) {
+            self.points.push(self.last);
+        }
+        (self.has_parts || self.points.len() >= 2).then(|| self.part(true))
     }
 }
 
@@ -103,56 +125,68 @@ mod tests {
         ServerTime::from_micros(t * 1000)
     }
 
-    #[test]
-    fn stroke_is_thinned_and_ends_at_release_point() {
+    /// All parts of a stroke, as they are sent.
+    fn parts(poses: impl Iterator<Item = (i64, f64)>) -> Vec<CutRequest> {
         let mut strokes = StrokeCollector::new(0.02);
-        for t in 0..=1000 {
-            assert_eq!(strokes.push(ms(t), &at(0.0205 * t as f64), true), None);
+        let mut parts = Vec::new();
+        let mut end = (0, 0.0);
+        for (t, x_mm) in poses {
+            parts.extend(strokes.push(ms(t), &at(x_mm), true));
+            end = (t + 1, x_mm);
         }
-        let stroke = strokes.push(ms(1001), &at(30.0), false).unwrap();
-        assert!(stroke.is_valid());
-        assert!(
-            (25..30).contains(&stroke.points.len()),
-            "{}",
-            stroke.points.len()
-        );
-        for pair in stroke.points.windows(2) {
-            assert!(distance(&pair[0], &pair[1]) >= LAST_STEP_MIN_M);
+        parts.extend(strokes.push(ms(end.0), &at(end.1), false));
+        assert_eq!(strokes.push(ms(end.0 + 1), &at(end.1), false), None);
+        parts
+    }
+
+    #[test]
+    fn parts_are_thinned_in_time_share_a_point_and_end_at_the_release_point() {
+        let parts = parts((0..=1000).map(|t| (t, 0.0205 * t as f64)));
+        assert!((25..=34).contains(&parts.len()), "{}", parts.len());
+        for part in &parts {
+            assert!(part.is_valid() && part.began == ms(0));
         }
-        let last = stroke.points.last().unwrap();
-        assert!((last.blade.tip_m[0] - 0.0205).abs() < LAST_STEP_MIN_M);
-        assert_eq!(strokes.push(ms(1002), &at(30.0), false), None);
+        for pair in parts.windows(2) {
+            assert_eq!(pair[0].points.last(), pair[1].points.first());
+            assert!(!pair[0].is_last && pair[0].points.len() >= 2);
+        }
+        let last = parts.last().unwrap();
+        assert!(last.is_last);
+        let steps = parts.iter().flat_map(|part| part.points.windows(2));
+        let steps: Vec<f64> = steps.map(|pair| distance(&pair[0], &pair[1])).collect();
+        assert!((25..30).contains(&steps.len()), "{}", steps.len());
+        assert!(steps.iter().all(|step| *step >= LAST_STEP_MIN_M));
+        let end = last.points.last().unwrap();
+        assert!((end.blade.tip_m[0] - 0.0205).abs() < LAST_STEP_MIN_M);
     }
 
     #[test]
     fn resting_blade_cuts_nothing() {
-        let mut strokes = StrokeCollector::new(0.02);
-        for t in 0..100 {
-            strokes.push(ms(t), &at(0.0), true);
-        }
-        assert_eq!(strokes.push(ms(100), &at(0.0), false), None);
+        assert_eq!(parts((0..100).map(|t| (t, 0.0))), []);
     }
 
     #[test]
-    fn pieces_of_long_stroke_share_a_point() {
-        let mut strokes = StrokeCollector::new(0.02);
-        let mut pieces: Vec<CutRequest> = (0..2000)
-            .filter_map(|t| strokes.push(ms(t), &at(t as f64), true))
-            .collect();
-        pieces.extend(strokes.push(ms(2000), &at(2000.0), false));
-        assert_eq!(pieces.len(), 4);
-        assert!(pieces.iter().all(CutRequest::is_valid));
-        for pair in pieces.windows(2) {
-            assert_eq!(pair[0].points.last(), pair[1].points.first());
-        }
+    fn stroke_that_rests_at_its_end_is_ended() {
+        let parts = parts((0..300).map(|t| (t, 0.1 * (t as f64).min(100.0))));
+        let last = parts.last().unwrap();
+        assert!(last.is_last && last.is_valid());
+    }
+
+    #[test]
+    fn fast_stroke_needs_no_more_requests() {
+        let parts = parts((0..2000).map(|t| (t, t as f64)));
+        assert!((60..=70).contains(&parts.len()), "{}", parts.len());
+        assert!(parts.iter().all(CutRequest::is_valid));
     }
 
     #[test]
     fn stroke_times_ascend_when_clock_is_set_back() {
-        let mut strokes = StrokeCollector::new(0.02);
-        for (i, t) in [10, 12, 11, 13].into_iter().enumerate() {
-            strokes.push(ms(t), &at(i as f64), true);
-        }
-        assert!(strokes.push(ms(14), &at(5.0), false).unwrap().is_valid());
+        let parts = parts(
+            [10, 12, 11, 13]
+                .into_iter()
+                .enumerate()
+                .map(|(i, t)| (t, i as f64)),
+        );
+        assert!(!parts.is_empty() && parts.iter().all(CutRequest::is_valid));
     }
 }

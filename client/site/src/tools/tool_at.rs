@@ -2,6 +2,7 @@
 
 use nalgebra::UnitQuaternion;
 use palpate_protocol::ParticipantId;
+use palpate_protocol::operation::HeldTool;
 use palpate_protocol::timeline::Shown;
 use palpate_protocol::tool::{ToolDescription, ToolKind, part_id};
 use palpate_tissue::{Form, Tool, Vec3};
@@ -42,6 +43,18 @@ impl ToolAt {
             orientation: orientation(&shown.pose),
             buttons: shown.buttons,
             stale: shown.stale,
+        }
+    }
+
+    /// A tool that holds its pose.
+    pub(super) fn held(description: ToolDescription, held: &HeldTool) -> Self {
+        Self {
+            participant: held.participant,
+            description,
+            position: Vec3::from(held.pose.position_m),
+            orientation: orientation(&held.pose),
+            buttons: held.buttons,
+            stale: false,
         }
     }
 

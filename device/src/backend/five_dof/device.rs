@@ -134,7 +134,7 @@ impl<P: Port> HapticDevice for FiveDof<P> {
         let counts = six(|arm, k| encoder.count(at[arm][k]));
         // Codes computed for the old posture would push in another direction.
         self.stop()?;
-        self.port.home(counts)?;
+        self.port.set_counts(counts)?;
         self.angles = at;
         self.rates.iter_mut().for_each(Rate::clear);
         Ok(self.calibration())

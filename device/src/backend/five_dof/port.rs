@@ -25,7 +25,7 @@ pub trait Port: Send {
     fn is_homed(&self) -> bool;
 
     /// Sets the counters to these numbers: the arms stand in the posture of calibration.
-    fn home(&mut self, counts: Six) -> Result<(), PortFault>;
+    fn set_counts(&mut self, counts: Six) -> Result<(), PortFault>;
 
     /// Releases the boards, with zero on the converters. A second call does nothing.
     fn close(&mut self);

@@ -251,7 +251,7 @@ impl Port for Rig {
         self.homed
     }
 
-    fn home(&mut self, counts: Six) -> Result<(), PortFault> {
+    fn set_counts(&mut self, counts: Six) -> Result<(), PortFault> {
         let true_counts = self.true_counts();
         self.offset = std::array::from_fn(|j| counts[j] - true_counts[j]);
         self.homed = true;

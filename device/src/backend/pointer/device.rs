@@ -1,9 +1,10 @@
 //! The driver as a [`HapticDevice`](crate::HapticDevice).
 
+use nalgebra::UnitQuaternion;
 use rtrb::Consumer;
 
 use super::handle::queue;
-use super::{Aim, EVENTS_MAX, Follower, PointerEvent, PointerHandle};
+use super::{EVENTS_MAX, Follower, PointerEvent, PointerHandle};
 use crate::error::check_ranges;
 use crate::{
     Buttons, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState, HapticDevice, OpenError,
@@ -50,10 +51,13 @@ impl PointerConfig {
 #[derive(Debug)]
 pub struct Pointer {
     caps: DeviceCaps,
-    aim: Aim,
+    /// Target pose, within the workspace.
+    goal: Pose,
+    /// The buttons held.
+    buttons: Buttons,
     follower: Follower,
     events: Consumer<PointerEvent>,
-    /// The time of the last accepted event.
+    /// The time of the last accepted event, at most the time of its reading.
     last: DeviceTime,
     now: Option<DeviceTime>,
     open: bool,
@@ -75,11 +79,12 @@ impl Pointer {
             ));
         }
         let (handle, events) = queue();
-        let aim = Aim::new(config.workspace, config.start);
+        let goal = within(&config.workspace, config.start);
         let pointer = Self {
             caps: DeviceCaps::without_motors("pointer".to_owned(), 6, config.workspace),
-            follower: Follower::new(*aim.goal(), config.speed_m_per_s, config.turn_rad_per_s),
-            aim,
+            goal,
+            buttons: Buttons::NONE,
+            follower: Follower::new(goal, config.speed_m_per_s, config.turn_rad_per_s),
             events,
             last: DeviceTime::from_micros(i64::MIN),
             now: None,
@@ -102,19 +107,33 @@ impl Pointer {
                 faults = Faults::COMMUNICATION;
                 continue;
             }
+            // Its time does not matter: the clock of a view may differ from that of the sender that reports it gone.
+            let Some(goal) = event.goal else {
+                self.leave(*self.follower.lead());
+                continue;
+            };
             if event.time < self.last {
                 continue;
             }
-            self.last = event.time;
-            let Some(at) = event.at else {
-                self.aim.leave(*self.follower.lead());
-                continue;
+            // A time in the future must not block the events after it.
+            self.last = event.time.min(now);
+            self.goal = within(&self.caps.workspace, goal);
+            // The sender's clock is a little ahead at most.
+            self.buttons = if now.micros_since(event.time).abs() <= OLD_US {
+                event.buttons
+            } else {
+                // Buttons that were held and still are.
+                Buttons::from_bits(event.buttons.bits() & self.buttons.bits())
             };
-            let may_press = now.micros_since(event.time) <= OLD_US;
-            self.aim.take(&event, at, may_press);
-            held = held.with(self.aim.buttons());
+            held = held.with(self.buttons);
         }
         (held, faults)
+    }
+
+    /// The pointer is gone: no button is held, and the target becomes `here`.
+    fn leave(&mut self, here: Pose) {
+        self.goal = here;
+        self.buttons = Buttons::NONE;
     }
 }
 
@@ -144,7 +163,7 @@ impl HapticDevice for Pointer {
         self.now = Some(now);
         if self.events.is_abandoned() && self.events.is_empty() {
             self.follower.halt();
-            self.aim.leave(*self.follower.pose());
+            self.leave(*self.follower.pose());
             return Err(DeviceFault::Unplugged);
         }
         let (held, mut faults) = self.receive(now);
@@ -156,19 +175,17 @@ impl HapticDevice for Pointer {
             let steps = (passed + STEP_MAX_US - 1) / STEP_MAX_US;
             for _ in 0..steps {
                 let h = passed as f64 * 1e-6 / steps as f64;
-                self.follower.step(self.aim.goal(), h);
+                self.follower.step(&self.goal, h);
             }
         }
         // Rounding may leave the box by a little.
-        let mut pose = *self.follower.pose();
-        let Workspace { min, max } = self.caps.workspace;
-        pose.position = pose.position.sup(&min).inf(&max);
+        let pose = within(&self.caps.workspace, *self.follower.pose());
         Ok(Sample {
             time: now,
             pose,
             velocity: self.follower.velocity(),
             angular_velocity: self.follower.angular_velocity(),
-            buttons: held.with(self.aim.buttons()),
+            buttons: held.with(self.buttons),
             gripper: None,
             faults,
         })
@@ -188,5 +205,13 @@ impl HapticDevice for Pointer {
 
     fn close(&mut self) {
         self.open = false;
+    }
+}
+
+/// `pose`, clamped to the workspace, with a rotation of norm 1.
+fn within(workspace: &Workspace, pose: Pose) -> Pose {
+    Pose {
+        position: pose.position.sup(&workspace.min).inf(&workspace.max),
+        orientation: UnitQuaternion::new_normalize(pose.orientation.into_inner()),
     }
 }

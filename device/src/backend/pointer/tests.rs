@@ -1,24 +1,12 @@
 //! The laws of the pointer.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
-use super::{
-    EVENTS_MAX, Modifiers, Pointer, PointerConfig, PointerEvent, PointerHandle, RATE_PER_S, View,
-};
+use super::{EVENTS_MAX, Pointer, PointerConfig, PointerEvent, PointerHandle, RATE_PER_S};
 use crate::{
     Buttons, DeviceFault, DeviceTime, Faults, HapticDevice, Pose, Sample, Workspace, conformance,
 };
-
-/// From the front: x to the right, z up, looking along y.
-fn front() -> View {
-    View {
-        centre: Vector3::zeros(),
-        right: Vector3::x(),
-        up: Vector3::z(),
-        eye_m: None,
-    }
-}
 
 fn room() -> Workspace {
     Workspace {
@@ -38,11 +26,8 @@ fn at(us: i64) -> DeviceTime {
 fn event(us: i64, x: f64, z: f64) -> PointerEvent {
     PointerEvent {
         time: at(us),
-        view: front(),
-        at: Some([x, z]),
-        wheel_m: 0.0,
+        goal: Some(Pose::at(Vector3::new(x, 0.0, z))),
         buttons: Buttons::NONE,
-        modifiers: Modifiers::NONE,
     }
 }
 
@@ -66,39 +51,12 @@ fn it_passes_the_conformance_suite() {
 }
 
 #[test]
-fn the_tool_comes_to_rest_under_the_pointer() {
+fn the_tool_comes_to_rest_at_the_goal() {
     let (mut device, mut handle) = pointer();
     handle.send(event(0, 0.05, -0.02)).unwrap();
     let sample = run(&mut device, 0, 600);
     assert!((sample.pose.position - Vector3::new(0.05, 0.0, -0.02)).norm() < 1e-6);
     assert!(sample.velocity.norm() < 1e-5);
-}
-
-#[test]
-fn in_perspective_the_tool_is_on_the_line_of_sight_at_its_depth() {
-    let (mut device, mut handle) = pointer();
-    let view = View {
-        centre: Vector3::new(0.0, -0.5, 0.0),
-        eye_m: Some(0.5),
-        ..front()
-    };
-    let seen = PointerEvent {
-        view,
-        ..event(0, 0.02, 0.01)
-    };
-    handle.send(seen).unwrap();
-    // The origin is twice as far from the eye as the view plane.
-    let sample = run(&mut device, 0, 600);
-    assert!((sample.pose.position - Vector3::new(0.04, 0.0, 0.02)).norm() < 1e-6);
-    // The wheel moves it along the line of sight.
-    let deeper = PointerEvent {
-        wheel_m: 0.05,
-        time: at(600_000),
-        ..seen
-    };
-    handle.send(deeper).unwrap();
-    let sample = run(&mut device, 600, 1200);
-    assert!((sample.pose.position - Vector3::new(0.042, 0.05, 0.021)).norm() < 1e-6);
 }
 
 #[test]
@@ -157,7 +115,7 @@ fn without_events_or_pointer_the_tool_stays_in_place() {
     handle.send(pressed).unwrap();
     assert_eq!(run(&mut device, 0, 100).buttons, Buttons::PRIMARY);
     let left = PointerEvent {
-        at: None,
+        goal: None,
         time: at(100_000),
         ..pressed
     };
@@ -192,27 +150,23 @@ fn a_click_between_two_readings_appears_in_one() {
 #[test]
 fn invalid_events_are_rejected_and_reported_once() {
     let (mut device, mut handle) = pointer();
-    let good = event(0, 0.0, 0.0);
+    let turned = |coords: [f64; 4]| {
+        let orientation = UnitQuaternion::new_unchecked(Quaternion::from(coords));
+        PointerEvent {
+            goal: Some(Pose {
+                orientation,
+                ..Pose::default()
+            }),
+            ..event(0, 0.0, 0.0)
+        }
+    };
     let bad = [
         event(0, f64::NAN, 0.0),
-        PointerEvent {
-            wheel_m: f64::INFINITY,
-            ..good
-        },
-        PointerEvent {
-            view: View {
-                up: Vector3::x(),
-                ..front()
-            },
-            ..good
-        },
-        PointerEvent {
-            view: View {
-                eye_m: Some(0.0),
-                ..front()
-            },
-            ..good
-        },
+        event(0, 0.0, f64::NEG_INFINITY),
+        event(0, 2e3, 0.0),
+        turned([0.0; 4]),
+        turned([0.0, f64::NAN, 0.0, 1.0]),
+        turned([1.0, 0.0, 0.0, 1.0]),
     ];
     for event in bad {
         handle.send(event).unwrap();
@@ -263,55 +217,67 @@ fn without_a_view_the_device_is_unplugged_and_at_rest() {
 }
 
 #[test]
-fn fine_scales_movements_and_turn_keeps_the_position() {
+fn the_tool_turns_to_the_goal_in_place() {
     let (mut device, mut handle) = pointer();
-    handle.send(event(0, 0.0, 0.0)).unwrap();
-    let held = |us, x, modifiers| PointerEvent {
-        modifiers,
-        ..event(us, x, 0.0)
+    let turned = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, -0.5, 0.4));
+    let goal = Pose {
+        orientation: turned,
+        ..Pose::default()
     };
-    handle.send(held(1, 0.05, Modifiers::FINE)).unwrap();
-    let fine = run(&mut device, 0, 400);
-    assert!((fine.pose.position.x - 0.01).abs() < 1e-6);
-    handle.send(held(400_000, 0.07, Modifiers::TURN)).unwrap();
-    let turned = run(&mut device, 400, 1000);
-    assert!((turned.pose.position - fine.pose.position).norm() < 1e-6);
-    // A movement of 20 mm to the right turns the front of the tool to the right.
-    let expected = UnitQuaternion::from_scaled_axis(Vector3::z() * 0.4);
-    assert!(turned.pose.orientation.angle_to(&expected) < 1e-6);
-    assert!((turned.pose.orientation * -Vector3::y()).x > 0.0);
-    // After release it moves on from there; after leaving and re-entering the view it is under the pointer.
-    handle.send(event(1_000_000, 0.08, 0.0)).unwrap();
-    let on = run(&mut device, 1000, 1600);
-    assert!((on.pose.position.x - 0.02).abs() < 1e-6);
-    let left = PointerEvent {
-        at: None,
-        ..event(1_600_000, 0.0, 0.0)
+    let turn = PointerEvent {
+        goal: Some(goal),
+        ..event(0, 0.0, 0.0)
     };
-    handle.send(left).unwrap();
-    handle.send(event(1_600_001, 0.08, 0.0)).unwrap();
-    let back = run(&mut device, 1600, 2200);
-    assert!((back.pose.position.x - 0.08).abs() < 1e-6);
+    handle.send(turn).unwrap();
+    let sample = run(&mut device, 0, 800);
+    assert!(sample.pose.orientation.angle_to(&turned) < 1e-6);
+    assert_eq!(sample.pose.position, Vector3::zeros());
 }
 
 #[test]
-fn a_pointer_back_from_beyond_the_wall_finds_its_tool() {
+fn a_goal_beyond_the_wall_leaves_the_tool_at_the_wall() {
     let (mut device, mut handle) = pointer();
-    handle.send(event(0, 0.3, 0.0)).unwrap();
+    handle.send(event(0, 0.3, 0.05)).unwrap();
     let at_wall = run(&mut device, 0, 900);
-    assert!((at_wall.pose.position.x - 0.1).abs() < 1e-9);
-    handle.send(event(900_000, 0.05, 0.0)).unwrap();
-    let back = run(&mut device, 900, 1600);
-    assert!((back.pose.position.x - 0.05).abs() < 1e-6);
-    let wheel = |us, wheel_m| PointerEvent {
-        wheel_m,
-        ..event(us, 0.05, 0.0)
+    assert!((at_wall.pose.position - Vector3::new(0.1, 0.0, 0.05)).norm() < 1e-6);
+    // A goal that returns moves the tool at once.
+    handle.send(event(900_000, 0.05, 0.05)).unwrap();
+    let back = run(&mut device, 900, 950);
+    assert!(back.pose.position.x < 0.095, "{back:?}");
+}
+
+#[test]
+fn a_view_that_is_gone_releases_every_button_whatever_its_time() {
+    let (mut device, mut handle) = pointer();
+    let pressed = PointerEvent {
+        buttons: Buttons::PRIMARY,
+        ..event(5000, 0.0, 0.0)
     };
-    handle.send(wheel(1_600_000, 0.5)).unwrap();
-    handle.send(wheel(1_600_001, 0.5)).unwrap();
-    handle.send(wheel(1_600_002, -0.01)).unwrap();
-    let sample = run(&mut device, 1600, 2600);
-    assert!((sample.pose.position.y - 0.09).abs() < 1e-6, "{sample:?}");
+    handle.send(pressed).unwrap();
+    assert_eq!(device.read(at(6000)).unwrap().buttons, Buttons::PRIMARY);
+    let gone = PointerEvent {
+        time: at(4000),
+        goal: None,
+        ..pressed
+    };
+    handle.send(gone).unwrap();
+    assert_eq!(device.read(at(7000)).unwrap().buttons, Buttons::NONE);
+}
+
+#[test]
+fn an_event_from_the_future_blocks_no_later_event() {
+    let (mut device, mut handle) = pointer();
+    let press = |us| PointerEvent {
+        buttons: Buttons::PRIMARY,
+        ..event(us, 0.0, 0.0)
+    };
+    // An hour ahead it presses nothing; a little ahead it does.
+    handle.send(press(3_600_000_000)).unwrap();
+    assert_eq!(device.read(at(1000)).unwrap().buttons, Buttons::NONE);
+    handle.send(press(100_000)).unwrap();
+    assert_eq!(device.read(at(2000)).unwrap().buttons, Buttons::PRIMARY);
+    handle.send(event(2500, 0.0, 0.0)).unwrap();
+    assert_eq!(device.read(at(3000)).unwrap().buttons, Buttons::NONE);
 }
 
 fn events() -> impl Strategy<Value = Vec<(PointerEvent, i64)>> {
@@ -321,35 +287,19 @@ fn events() -> impl Strategy<Value = Vec<(PointerEvent, i64)>> {
             1 => prop::sample::select(vec![f64::NAN, f64::INFINITY, -1e9, 999.0]),
         ]
     };
-    let view =
-        (prop::array::uniform3(-4.0..4.0f64), 0..3u8, number()).prop_map(|(turn, kind, eye)| {
-            let turn = UnitQuaternion::from_scaled_axis(Vector3::from(turn));
-            View {
-                centre: turn * Vector3::new(0.0, 0.0, 0.3),
-                right: turn * Vector3::x(),
-                up: turn * Vector3::y(),
-                eye_m: (kind > 0).then_some(if kind == 1 { 0.4 } else { eye }),
-            }
-        });
-    let event = (
-        view,
-        prop::option::weighted(0.9, [number(), number()]),
-        number(),
-        0..4u8,
-        -2000..9000i64,
+    let goal = (
+        [number(), number(), number()],
+        [number(), number(), number()],
     );
-    let event = event.prop_map(|(view, at, wheel_m, keys, us)| PointerEvent {
+    let goal = goal.prop_map(|(at, turn)| Pose {
+        position: Vector3::from(at),
+        orientation: UnitQuaternion::from_scaled_axis(Vector3::from(turn) * 10.0),
+    });
+    let event = (prop::option::weighted(0.9, goal), 0..4u32, -2000..9000i64);
+    let event = event.prop_map(|(goal, buttons, us)| PointerEvent {
         time: DeviceTime::from_micros(us),
-        view,
-        at,
-        wheel_m,
-        buttons: Buttons::from_bits(u32::from(keys)),
-        modifiers: match keys {
-            0 => Modifiers::NONE,
-            1 => Modifiers::FINE,
-            2 => Modifiers::TURN,
-            _ => Modifiers::FINE.with(Modifiers::TURN),
-        },
+        goal,
+        buttons: Buttons::from_bits(buttons),
     });
     prop::collection::vec((event, 0..60i64), 1..40)
 }

@@ -8,6 +8,7 @@
 //! in it.
 
 pub(crate) mod client;
+mod emulated_path;
 pub(crate) mod peer;
 
 use std::collections::VecDeque;
@@ -67,14 +68,26 @@ pub(crate) trait Machine: Send {
     fn poll_event(&mut self) -> Option<Self::Event>;
     /// Until the next timeout; `None` once closed.
     fn until_timeout(&self) -> Option<Duration>;
+    /// Until further stream bytes can be polled, in a machine that delays them.
+    fn until_stream(&self) -> Option<Duration> {
+        None
+    }
     fn is_closed(&self) -> bool;
     /// Whether reliable commands can be taken now; they wait otherwise.
     fn has_room(&self) -> bool {
         true
     }
+    /// Whether stream bytes can be handled now; they wait in the connection otherwise.
+    fn takes_stream(&self) -> bool {
+        true
+    }
     /// Whether this side ended for good and does not reconnect.
     fn leaves(&self) -> bool;
     fn stats(&self) -> LinkStats;
+    /// The transport's counters with those of a path that the machine emulates.
+    fn path_stats(&self, transport: PathStats) -> PathStats {
+        transport
+    }
 }
 
 /// Where commands come from; without `room` the reliable ones wait.
@@ -137,7 +150,7 @@ pub(crate) async fn drive<M: Machine>(
             stats_at = tokio::time::Instant::now();
             stats.send_replace(DriverStats {
                 link: machine.stats(),
-                path: connection.stats(),
+                path: machine.path_stats(connection.stats()),
             });
         }
         if machine.is_closed() {
@@ -150,7 +163,11 @@ pub(crate) async fn drive<M: Machine>(
             break;
         }
         let room = machine.has_room();
+        let reads = stream_is_open && !machine.is_closed() && machine.takes_stream();
         let wait = machine.until_timeout().unwrap_or(STATS_PERIOD);
+        // Stream bytes that are due wait for the end of a write, which wakes the loop.
+        let stream = machine.until_stream().filter(|_| outgoing.is_empty());
+        let wait = stream.map_or(wait, |stream| stream.min(wait));
         let wait = watch.waits(since(began), span(wait));
         let wait = Duration::from_micros(wait.as_micros().unsigned_abs());
         let (send, recv) = (&mut connection.send, &mut connection.recv);
@@ -158,7 +175,7 @@ pub(crate) async fn drive<M: Machine>(
             r = datagrams.read_datagram(), if !machine.is_closed() => {
                 Moved::Datagram(r.map(Vec::from).map_err(|e| crate::error::describe_connection_error(&e)))
             }
-            r = recv.read(&mut buffer), if stream_is_open && !machine.is_closed() => {
+            r = recv.read(&mut buffer), if reads => {
                 Moved::Read(r.map_err(|e| e.to_string()))
             }
             r = send.write(&outgoing), if has_bytes => Moved::Written(r.map_err(|e| e.to_string())),
@@ -216,7 +233,7 @@ pub(crate) async fn drive<M: Machine>(
 async fn end<M: Machine>(machine: M, connection: Connection, stats: &watch::Sender<DriverStats>) {
     stats.send_replace(DriverStats {
         link: machine.stats(),
-        path: connection.stats(),
+        path: machine.path_stats(connection.stats()),
     });
     let sentence = "the session is over";
     if machine.leaves() {

@@ -12,18 +12,19 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use palpate_protocol::session::{LinkStats, PeerDatagram, PeerEvent, PeerMessage, ServerPeer};
-use palpate_protocol::{ServerTime, Span};
+use palpate_protocol::{Emulation, ServerTime, Span};
 use tokio::sync::{mpsc, watch};
 use tracing::Instrument as _;
 
-use crate::connection::Connection;
+use crate::connection::{Connection, PathStats};
+use crate::drive::emulated_path::{EmulatedPath, Way};
 use crate::drive::{Commands, DriverStats, Machine, drive};
 use crate::slots::Slot;
 
-/// Capacity of a peer's reliable queue: the longest log that a room sends to a new participant, 25,000
+/// Capacity of a peer's reliable queue: the longest log that a room sends to a new participant, 26,900
 /// operations, and 2,000 messages meanwhile. Beyond it the peer is closed. An entry has at most 64 bytes beside
-/// the operation that it shares; a full queue takes 1.7 MB.
-pub const RELIABLE_QUEUE_MAX: usize = 27_000;
+/// the operation that it shares; a full queue takes 1.9 MB.
+pub const RELIABLE_QUEUE_MAX: usize = 28_900;
 
 /// The size of an entry of the queue, bytes.
 const ENTRY_BYTES_MAX: usize = 64;
@@ -53,6 +54,7 @@ pub struct PeerHandle {
     reliable: mpsc::Sender<PeerMessage>,
     datagrams: mpsc::Sender<PeerDatagram>,
     overflow: mpsc::Sender<()>,
+    emulation: watch::Sender<Emulation>,
     dropped: Arc<AtomicU64>,
     stats: watch::Receiver<DriverStats>,
 }
@@ -84,6 +86,15 @@ impl PeerHandle {
         sent
     }
 
+    /// Emulates a network between the server and this peer from now on: its delay in both directions, and its loss. The
+    /// emulation is in range. The session measures it like a real network, and the [`stats`](Self::stats) contain it.
+    ///
+    /// Datagrams are dropped; a lost packet of the stream waits for one more emulated round trip. A connection or session
+    /// that ends does not wait.
+    pub fn emulate(&self, emulation: Emulation) {
+        (self.emulation).send_if_modified(|known| std::mem::replace(known, emulation) != emulation);
+    }
+
     /// Newest figures, renewed about ten times a second.
     pub fn stats(&self) -> DriverStats {
         let mut stats = *self.stats.borrow();
@@ -103,10 +114,12 @@ pub fn spawn_peer(
     let (reliable, reliable_receiver) = mpsc::channel(RELIABLE_QUEUE_MAX);
     let (datagrams, datagram_receiver) = mpsc::channel(DATAGRAM_QUEUE_MAX);
     let (overflow, overflow_receiver) = mpsc::channel(1);
+    let (emulation, emulation_receiver) = watch::channel(Emulation::NONE);
     let (stats_sender, stats) = watch::channel(DriverStats::default());
     let machine = Peer {
         id,
         session: ServerPeer::new(clock()),
+        path: EmulatedPath::new(id.0),
         slot: connection.take_slot(),
         clock,
     };
@@ -114,6 +127,7 @@ pub fn spawn_peer(
         reliable: reliable_receiver,
         datagrams: datagram_receiver,
         overflow: overflow_receiver,
+        emulation: emulation_receiver,
     };
     let remote = connection.remote_address();
     let span = tracing::error_span!("connection", peer = id.0, %remote);
@@ -124,6 +138,7 @@ pub fn spawn_peer(
         reliable,
         datagrams,
         overflow,
+        emulation,
         dropped: Arc::default(),
         stats,
     }
@@ -134,12 +149,14 @@ enum PeerCommand {
     Reliable(PeerMessage),
     Datagram(PeerDatagram),
     Overflow,
+    Emulate(Emulation),
 }
 
 struct FromRoom {
     reliable: mpsc::Receiver<PeerMessage>,
     datagrams: mpsc::Receiver<PeerDatagram>,
     overflow: mpsc::Receiver<()>,
+    emulation: watch::Receiver<Emulation>,
 }
 
 impl Commands<PeerCommand> for FromRoom {
@@ -147,6 +164,9 @@ impl Commands<PeerCommand> for FromRoom {
         tokio::select! {
             biased;
             Some(()) = self.overflow.recv() => Some(PeerCommand::Overflow),
+            Ok(()) = self.emulation.changed() => {
+                Some(PeerCommand::Emulate(*self.emulation.borrow_and_update()))
+            }
             m = self.reliable.recv(), if room => m.map(PeerCommand::Reliable),
             Some(d) = self.datagrams.recv() => Some(PeerCommand::Datagram(d)),
             // The room has dropped its end; the rest of the reliable queue waits for room.
@@ -164,9 +184,40 @@ impl Commands<PeerCommand> for FromRoom {
 struct Peer<C> {
     id: PeerId,
     session: ServerPeer,
+    /// Between the connection and the session; idle unless the instructor emulates a network.
+    path: EmulatedPath,
     /// Held until the welcome.
     slot: Option<Slot>,
     clock: C,
+}
+
+impl<C: Fn() -> ServerTime + Send> Peer<C> {
+    /// Passes the bytes to the session that the emulated path has delivered by now.
+    fn receive_due(&mut self) {
+        if self.path.is_idle() {
+            return;
+        }
+        let now = (self.clock)();
+        while let Some(bytes) = self.path.poll_stream(Way::Up, now) {
+            self.session.handle_stream(&bytes, now);
+        }
+        while let Some((bytes, stall)) = self.path.poll_datagram(Way::Up, now) {
+            self.session.handle_waiting_datagram(&bytes, stall, now);
+        }
+    }
+
+    fn until(&self, due: ServerTime) -> Duration {
+        let wait = due - (self.clock)();
+        Duration::from_micros(u64::try_from(wait.as_micros()).unwrap_or(0))
+    }
+
+    /// Passes the stream bytes to the session that still were on the emulated path when the connection ended.
+    fn receive_rest(&mut self) {
+        let now = (self.clock)();
+        while let Some(bytes) = self.path.take_stream(Way::Up) {
+            self.session.handle_stream(&bytes, now);
+        }
+    }
 }
 
 impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
@@ -174,23 +225,35 @@ impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
     type Command = PeerCommand;
 
     fn handle_stream(&mut self, bytes: &[u8]) {
-        self.session.handle_stream(bytes, (self.clock)());
+        let now = (self.clock)();
+        if self.path.is_idle() {
+            self.session.handle_stream(bytes, now);
+        } else {
+            self.path.push_stream(Way::Up, bytes.to_vec(), now);
+        }
     }
 
     fn handle_datagram(&mut self, bytes: &[u8], stall: Span) {
         let now = (self.clock)();
-        self.session.handle_waiting_datagram(bytes, stall, now);
+        if self.path.is_idle() {
+            self.session.handle_waiting_datagram(bytes, stall, now);
+        } else {
+            (self.path).push_datagram(Way::Up, bytes.to_vec(), stall, now);
+        }
     }
 
     fn handle_timeout(&mut self) {
+        self.receive_due();
         self.session.handle_timeout((self.clock)());
     }
 
     fn handle_disconnect(&mut self, why: String) {
+        self.receive_rest();
         self.session.handle_disconnect(why);
     }
 
     fn handle_goodbye(&mut self, _: String) {
+        self.receive_rest();
         self.session.handle_goodbye();
     }
 
@@ -210,6 +273,10 @@ impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
                 self.session.handle_overflow();
                 Ok(())
             }
+            Some(PeerCommand::Emulate(emulation)) => {
+                self.path.set(emulation);
+                Ok(())
+            }
             None => self
                 .session
                 .send(&PeerMessage::Goodbye("the session was closed".into()), now),
@@ -223,11 +290,33 @@ impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
     }
 
     fn poll_stream(&mut self) -> Option<Vec<u8>> {
-        self.session.poll_stream()
+        if self.path.is_idle() {
+            return self.session.poll_stream();
+        }
+        let now = (self.clock)();
+        while self.path.has_room(Way::Down)
+            && let Some(bytes) = self.session.poll_stream()
+        {
+            self.path.push_stream(Way::Down, bytes, now);
+        }
+        if self.session.is_closed() {
+            return self.path.take_stream(Way::Down);
+        }
+        self.path.poll_stream(Way::Down, now)
     }
 
     fn poll_datagram(&mut self) -> Option<Vec<u8>> {
-        self.session.poll_datagram((self.clock)())
+        // The driver polls this first in every turn.
+        self.receive_due();
+        let now = (self.clock)();
+        if self.path.is_idle() {
+            return self.session.poll_datagram(now);
+        }
+        while let Some(bytes) = self.session.poll_datagram(now) {
+            (self.path).push_datagram(Way::Down, bytes, Span::ZERO, now);
+        }
+        let (bytes, _) = self.path.poll_datagram(Way::Down, now)?;
+        Some(bytes)
     }
 
     fn poll_event(&mut self) -> Option<PeerInput> {
@@ -243,10 +332,14 @@ impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
     }
 
     fn until_timeout(&self) -> Option<Duration> {
-        let wait = self.session.poll_timeout()? - (self.clock)();
-        Some(Duration::from_micros(
-            u64::try_from(wait.as_micros()).unwrap_or(0),
-        ))
+        let session = self.session.poll_timeout()?;
+        let path = [self.path.stream_due(Way::Up), self.path.datagram_due()];
+        let due = path.into_iter().flatten().fold(session, ServerTime::min);
+        Some(self.until(due))
+    }
+
+    fn until_stream(&self) -> Option<Duration> {
+        Some(self.until(self.path.stream_due(Way::Down)?))
     }
 
     fn is_closed(&self) -> bool {
@@ -257,7 +350,15 @@ impl<C: Fn() -> ServerTime + Send> Machine for Peer<C> {
         self.session.has_room()
     }
 
+    fn takes_stream(&self) -> bool {
+        self.path.has_room(Way::Up)
+    }
+
     fn stats(&self) -> LinkStats {
         self.session.stats()
+    }
+
+    fn path_stats(&self, transport: PathStats) -> PathStats {
+        self.path.add_to(transport)
     }
 }

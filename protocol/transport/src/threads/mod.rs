@@ -32,6 +32,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use palpate_protocol::Span;
+use tokio::runtime::{Builder, Runtime};
 
 pub use budget::CpuBudget;
 pub use usage::{CpuTime, CpuUsage};
@@ -194,9 +195,16 @@ impl Drop for Membership {
 }
 
 /// Hooks that put the worker threads of a tokio runtime into a class.
-pub fn enter_workers(builder: &mut tokio::runtime::Builder, class: ThreadClass) {
+pub fn enter_workers(builder: &mut Builder, class: ThreadClass) {
     builder.on_thread_start(move || join(class));
     builder.on_thread_stop(leave);
+}
+
+/// A runtime with one thread at background priority, for pages.
+pub fn background_runtime() -> io::Result<Runtime> {
+    let mut builder = Builder::new_multi_thread();
+    enter_workers(&mut builder, ThreadClass::Background);
+    builder.worker_threads(1).enable_all().build()
 }
 
 /// Puts the calling thread into a class until it calls [`leave`]: for the start hook of a thread pool.

@@ -13,7 +13,7 @@
 //! modulus along a is 1 / (aa : C⁻¹ : aa).
 
 use palpate_tissue::cell::NO_CELL;
-use palpate_tissue::{Budget, Cell, Model, RegionId, Shape, Solver, Topology, Vec3};
+use palpate_tissue::{Budget, Cell, Model, RegionId, Tissue, Topology, Vec3};
 use rayon::prelude::*;
 
 use super::report::BarReport;
@@ -237,24 +237,26 @@ fn pull(topology: &Topology, place: &Place) -> Option<f64> {
         let at = topology.model().lattice[node as usize][axis];
         (at - place.low[axis]) as usize
     };
-    let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
+    let mut tissue = Tissue::at_rest(topology.clone());
     let nodes = 0..topology.node_count() as u32;
     let middle = nodes.clone().map(|n| topology.rest(n)).sum::<Vec3>() / nodes.len() as f64;
     let thinning = topology.model().regions[0].material.poisson;
     // The initial guess is the bar without clamps, so that only their effect has to be solved for.
-    for node in nodes.clone() {
+    let stretched = |node: u32| {
         let from = topology.rest(node) - middle;
         let mut u = from * (-STRAIN * thinning);
         u[axis] = STRAIN * from[axis];
-        shape.displacement[node as usize] = u;
+        (node, u)
+    };
+    let stretched: Vec<(u32, Vec3)> = nodes.clone().map(stretched).collect();
+    tissue.displace(&stretched);
+    for (node, u) in stretched {
         if layer(node) % layers == 0 {
-            solver.hold(topology, &mut shape, node, Vec3::ith(axis, u[axis]));
+            tissue.hold(node, Vec3::ith(axis, u[axis]));
         }
     }
-    let all: Vec<u32> = nodes.clone().collect();
-    solver.disturb(&shape, &all);
     let budget = Budget::new(ITERATIONS, TOLERANCE);
-    let residual = solver.step(topology, &mut shape, &[], budget).residual;
+    let residual = tissue.step(&[], budget).residual;
     if residual > TOLERANCE {
         return None;
     }
@@ -262,7 +264,7 @@ fn pull(topology: &Topology, place: &Place) -> Option<f64> {
     let force: f64 = nodes
         .clone()
         .filter(|&n| layer(n) == layers)
-        .map(|n| -solver.force_on(&shape, n)[axis])
+        .map(|n| -tissue.force_on(n)[axis])
         .sum();
     let (from, to) = (layers / 4, layers - layers / 4);
     let strain = slope(
@@ -270,7 +272,7 @@ fn pull(topology: &Topology, place: &Place) -> Option<f64> {
             .clone()
             .filter(|&n| (from..=to).contains(&layer(n)))
             .map(|n| {
-                let u = shape.displacement[n as usize][axis];
+                let u = tissue.shape().displacement[n as usize][axis];
                 (topology.rest(n)[axis], u)
             }),
     );

@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 use super::faces::{Face, OUTSIDE, volumes};
 use super::interface_samples::Sample;
+use super::interfaces::{Interface, Interfaces};
 use super::layers::{Layers, surface_of};
-use super::patch::{Interface, Interfaces};
 use super::quality::{CORNER_FLOOR, SPRING_FLOOR, passes, shortest_spring, worst_corner};
 use super::report::{
     LayerReport, QualityReport, RegionReport, SpringCounts, SurfaceReport, report_triangles,
@@ -310,7 +310,7 @@ fn corner_distances(compared: &Compared<'_>) -> Vec<((Interface, u32), Found)> {
 fn distance(interface: Interface, point: &Vec3, compared: &Compared<'_>) -> Found {
     let Some(nearest) = compared
         .interfaces
-        .patch(interface)
+        .bvh(interface)
         .nearest(point, f64::INFINITY)
     else {
         return (0.0, true);
@@ -352,7 +352,7 @@ pub(super) fn off_interface(
     of: impl Iterator<Item = Interface>,
     at: &Vec3,
 ) -> f64 {
-    let distances = of.filter_map(|i| interfaces.patch(i).nearest(at, f64::INFINITY));
+    let distances = of.filter_map(|i| interfaces.bvh(i).nearest(at, f64::INFINITY));
     let least = distances
         .map(|p| (p - at).norm())
         .fold(f64::INFINITY, f64::min);

@@ -4,7 +4,7 @@ use palpate_tissue::cell::{FACES, NO_CELL};
 use palpate_tissue::{Cell, Vec3};
 use rayon::prelude::*;
 
-use super::patch::Interface;
+use super::interfaces::Interface;
 
 /// Stands for the outside where a region is named.
 pub(super) const OUTSIDE: u16 = u16::MAX;

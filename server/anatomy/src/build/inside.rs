@@ -1,14 +1,14 @@
 //! Point location: the region that contains a point.
 //!
-//! Far from a surface its blocks decide. Near it one watertight line decides, along the axis that its triangles
-//! face most. The tree keeps vertices in single precision, with all copies of a vertex rounded alike, so the
+//! Far from a surface its occupancy grid decides. Near it one watertight ray decides, along the axis that its
+//! triangles face most. The tree keeps vertices in single precision, with all copies of a vertex rounded alike, so the
 //! surface stays closed.
 
 use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
-use super::blocks::Blocks;
 use super::bvh::{Bvh, LineSide};
+use super::occupancy_grid::OccupancyGrid;
 use super::rays::{Winding, hit_at};
 use crate::Surface;
 
@@ -26,11 +26,11 @@ struct Body {
     axis: usize,
     /// Whether its triangles are wound consistently, so that every line leaves it as often as it enters.
     wound_alike: bool,
-    blocks: Blocks,
+    occupancy: OccupancyGrid,
 }
 
 impl PointQuery {
-    /// Sorts the triangles of all surfaces into trees about `middle`, and classifies blocks of space on a
+    /// Sorts the triangles of all surfaces into trees about `middle`, and classifies the space on a
     /// lattice of this spacing (m).
     pub(super) fn new(surfaces: &[&Surface], middle: Vec3, spacing: f64) -> Self {
         let body = |surface: &&Surface| {
@@ -40,9 +40,9 @@ impl PointQuery {
                 tree: Bvh::new(middle, flat.collect()),
                 axis: facing(surface),
                 wound_alike: is_wound_alike(surface),
-                blocks: Blocks::default(),
+                occupancy: OccupancyGrid::default(),
             };
-            body.blocks = Blocks::new(surface, spacing, |p| body.contains(p));
+            body.occupancy = OccupancyGrid::new(surface, spacing, |p| body.contains(p));
             body
         };
         Self {
@@ -68,11 +68,11 @@ impl Body {
         if !self.tree.may_contain(&point) {
             return false;
         }
-        let known = self.blocks.tell(&point);
-        known.unwrap_or_else(|| self.line_tells(point))
+        let known = self.occupancy.contains(&point);
+        known.unwrap_or_else(|| self.ray_contains(point))
     }
 
-    fn line_tells(&self, point: Vec3) -> bool {
+    fn ray_contains(&self, point: Vec3) -> bool {
         let axis = self.axis;
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let hits = |way: LineSide, each: &mut dyn FnMut(i8, bool)| {
@@ -147,9 +147,9 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
-        /// A spindle with ridges: blocks of any size agree with the lines, or are undecided.
+        /// A spindle with ridges: voxels of any size agree with the lines, or are undecided.
         #[test]
-        fn blocks_agree_with_lines(
+        fn occupancy_agrees_with_rays(
             radii in prop::collection::vec(0.005_f64..0.03, 2..9), spacing in 5e-4_f64..0.02,
             points in prop::collection::vec(prop::array::uniform3(-0.035_f64..0.035), 64),
         ) {
@@ -159,7 +159,7 @@ mod tests {
             let query = PointQuery::new(&[&surface], Vec3::zeros(), spacing);
             let body = &query.surfaces[0];
             for point in points.into_iter().map(Vec3::from) {
-                prop_assert_eq!(body.contains(point), body.line_tells(point), "{}", point);
+                prop_assert_eq!(body.contains(point), body.ray_contains(point), "{}", point);
             }
         }
     }
@@ -177,12 +177,15 @@ mod tests {
     }
 
     #[test]
-    fn only_blocks_away_from_the_surface_decide() {
+    fn only_voxels_away_from_the_surface_decide() {
         let surface = turned(&[(0.02, -0.03), (0.02, 0.03)], 64);
         let query = PointQuery::new(&[&surface], Vec3::zeros(), 2e-3);
-        let blocks = &query.surfaces[0].blocks;
-        assert_eq!(blocks.tell(&Vec3::zeros()), Some(true));
-        assert_eq!(blocks.tell(&Vec3::new(0.0197, 0.0197, 0.0)), Some(false));
-        assert_eq!(blocks.tell(&Vec3::new(0.02, 0.0, 0.0)), None);
+        let occupancy = &query.surfaces[0].occupancy;
+        assert_eq!(occupancy.contains(&Vec3::zeros()), Some(true));
+        assert_eq!(
+            occupancy.contains(&Vec3::new(0.0197, 0.0197, 0.0)),
+            Some(false)
+        );
+        assert_eq!(occupancy.contains(&Vec3::new(0.02, 0.0, 0.0)), None);
     }
 }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::bvh::Bvh;
 use super::faces::{Face, OUTSIDE};
 use super::inside::PointQuery;
-use super::patch::{Interface, Interfaces, halve, sides_of};
+use super::interfaces::{Interface, Interfaces, halve, sides_of};
 
 /// Longest side, in spacings, of a piece that one sample stands for.
 const SIDE_MAX: f64 = 1.0;
@@ -59,18 +59,18 @@ pub(super) fn samples(
 ) -> Vec<Sample> {
     let mut samples = Vec::new();
     for interface in interfaces.all() {
-        let patch = interfaces.patch(interface);
-        if patch.is_empty() {
+        let bvh = interfaces.bvh(interface);
+        if bvh.is_empty() {
             continue;
         }
         let own = model_surface(interface, faces, positions, middle);
-        let chunks = patch.len().div_ceil(CHUNK);
+        let chunks = bvh.len().div_ceil(CHUNK);
         let found: Vec<Vec<Sample>> = (0..chunks)
             .into_par_iter()
             .map(|chunk| {
-                let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(patch.len());
+                let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(bvh.len());
                 let mut points = Vec::new();
-                spread(patch, range, interfaces.spacing, &mut points);
+                spread(bvh, range, interfaces.spacing, &mut points);
                 points
                     .into_iter()
                     .map(|p| measure(&p, interfaces, query, &own))
@@ -104,12 +104,12 @@ struct Point {
     sides: Option<[u16; 2]>,
 }
 
-fn spread(patch: &Bvh, range: std::ops::Range<usize>, spacing: f64, points: &mut Vec<Point>) {
+fn spread(bvh: &Bvh, range: std::ops::Range<usize>, spacing: f64, points: &mut Vec<Point>) {
     let mut carried = 0.0;
     let mut last = None;
     for triangle in range {
-        let corners = patch.triangle(triangle);
-        let sides = sides_of(patch, triangle);
+        let corners = bvh.triangle(triangle);
+        let sides = sides_of(bvh, triangle);
         let vector = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])) / 2.0;
         let Some(normal) = vector.try_normalize(0.0) else {
             continue;
@@ -156,14 +156,14 @@ struct Wall {
 
 fn first_wall(interfaces: &Interfaces, from: &Vec3, way: &Vec3) -> Option<Wall> {
     let met = interfaces.all().filter_map(|i| {
-        let patch = interfaces.patch(i);
-        let (depth, triangle) = patch.first_along(from, way)?;
-        Some((depth, triangle, patch))
+        let bvh = interfaces.bvh(i);
+        let (depth, triangle) = bvh.first_along(from, way)?;
+        Some((depth, triangle, bvh))
     });
-    let (depth, triangle, patch) = met.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let [a, b, c] = patch.triangle(triangle);
+    let (depth, triangle, bvh) = met.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let [a, b, c] = bvh.triangle(triangle);
     let leaves = (b - a).cross(&(c - a)).dot(way) > 0.0;
-    let beyond = sides_of(patch, triangle).map(|sides| sides[usize::from(leaves)]);
+    let beyond = sides_of(bvh, triangle).map(|sides| sides[usize::from(leaves)]);
     Some(Wall { depth, beyond })
 }
 

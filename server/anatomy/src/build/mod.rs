@@ -15,7 +15,6 @@
 //! construction.
 
 mod bar;
-mod blocks;
 mod bridge;
 mod bvh;
 mod compare;
@@ -24,11 +23,12 @@ mod grid;
 mod input_check;
 mod inside;
 mod interface_samples;
+mod interfaces;
 mod label;
 mod lattice;
 mod layers;
+mod occupancy_grid;
 mod parts;
-mod patch;
 mod quality;
 mod rays;
 mod relax;
@@ -116,7 +116,7 @@ pub fn build(
 
     progress("sorting the interfaces", 0.2);
     let interfaces =
-        patch::Interfaces::new(&surfaces, &input.sides, &query, spacing, grid.middle());
+        interfaces::Interfaces::new(&surfaces, &input.sides, &query, spacing, grid.middle());
     let faces = faces::faces(&lattice.cells);
     let placed = position_nodes(
         &grid,
@@ -214,7 +214,7 @@ fn figures(model: &Model, faces: &[faces::Face], names: &[String]) -> Figures {
 
 /// The outer surface over the model's nodes.
 fn outer_triangles(faces: &[faces::Face], model: &Model) -> Vec<[u32; 3]> {
-    let outside = |f: &&faces::Face| f.interface() == patch::Interface::Outer;
+    let outside = |f: &&faces::Face| f.interface() == interfaces::Interface::Outer;
     let outer = faces.iter().filter(outside);
     outer.flat_map(|f| f.triangles(&model.nodes)).collect()
 }
@@ -222,7 +222,7 @@ fn outer_triangles(faces: &[faces::Face], model: &Model) -> Vec<[u32; 3]> {
 /// Input of node placement.
 struct Input<'a> {
     surfaces: &'a [&'a Surface],
-    interfaces: &'a patch::Interfaces,
+    interfaces: &'a interfaces::Interfaces,
     volumes: &'a [f64],
 }
 
@@ -277,7 +277,7 @@ impl Placed {
     fn strays(
         &self,
         lattice: &lattice::Lattice,
-        interfaces: &patch::Interfaces,
+        interfaces: &interfaces::Interfaces,
     ) -> Vec<compare::Stray> {
         let strays = self.let_go.iter().filter_map(|&node| {
             let node = node as usize;

@@ -7,8 +7,8 @@
 use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
+use super::interfaces::Interfaces;
 use super::lattice::Lattice;
-use super::patch::Interfaces;
 use super::snap::{Constraint, project_near};
 
 /// Sweeps over the nodes. Ten restore the spacing to within a few percent of what more would.

@@ -12,8 +12,8 @@ use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::grid::Grid;
+use super::interfaces::{Interface, Interfaces};
 use super::lattice::Lattice;
-use super::patch::{Interface, Interfaces};
 use super::rays::{Hits, Rays, cast};
 use super::rim::CORNER_REACH;
 use crate::Surface;
@@ -33,7 +33,7 @@ const RIM_FACE_COSINE: f64 = 0.45;
 /// Positions on a rim closer together than this, in spacings, are one.
 const CLAIM_REACH: f64 = 0.5;
 
-/// A node counts as on an interface when it is at most this far away, in spacings; patches are kept
+/// A node counts as on an interface when it is at most this far away, in spacings; interfaces are kept
 /// in single precision.
 const ON_SURFACE: f64 = 1e-4;
 
@@ -327,7 +327,7 @@ pub(super) fn project_near(
     let mut own = constraint.interfaces().filter(|_| constraint.single());
     let near = own
         .next()
-        .and_then(|i| interfaces.patch(i).nearest(&from, reach));
+        .and_then(|i| interfaces.bvh(i).nearest(&from, reach));
     near.unwrap_or_else(|| project(interfaces, constraint, from))
 }
 
@@ -369,7 +369,7 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
 
 fn nearest(interfaces: &Interfaces, interface: Interface, at: &Vec3) -> Option<Vec3> {
     interfaces
-        .patch(interface)
+        .bvh(interface)
         .nearest(at, REACH * interfaces.spacing)
 }
 
@@ -471,7 +471,7 @@ fn snap_along_rays(
     constraint: Constraint,
 ) -> Option<Vec3> {
     let point = grid.point(at.map(|i| i as i32));
-    let patch = if constraint.outer {
+    let bvh = if constraint.outer {
         &interfaces.outer
     } else {
         &interfaces.inner[constraint.owners.trailing_zeros() as usize]
@@ -489,10 +489,7 @@ fn snap_along_rays(
                 if distance <= grid.spacing / 2.0 && best.is_none_or(|b| distance < b.0) {
                     let mut crossing = point;
                     crossing[axis] = hit.depth;
-                    if patch
-                        .nearest(&crossing, ON_SURFACE * grid.spacing)
-                        .is_some()
-                    {
+                    if bvh.nearest(&crossing, ON_SURFACE * grid.spacing).is_some() {
                         best = Some((distance, crossing));
                     }
                 }

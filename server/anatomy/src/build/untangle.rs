@@ -19,8 +19,8 @@ use palpate_tissue::Vec3;
 use palpate_tissue::cell::NO_CELL;
 use rayon::prelude::*;
 
+use super::interfaces::Interfaces;
 use super::lattice::Lattice;
-use super::patch::Interfaces;
 use super::quality::{CORNER_FLOOR, SPRING_FLOOR, passes};
 use super::snap::{Constraint, project};
 

@@ -8,5 +8,5 @@
 mod surfaces;
 mod vtu;
 
-pub use surfaces::{NamedSurface, stage_stl, surfaces};
+pub use surfaces::{NamedSurface, stage_outer_stl, stage_stl, surfaces};
 pub use vtu::{stage_vtu, write_vtu};

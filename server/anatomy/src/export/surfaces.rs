@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use palpate_tissue::cell::NO_CELL;
-use palpate_tissue::{FaceId, RegionId, Shape, Topology};
-use palpate_tissue::{Staged, WriteError};
+use palpate_tissue::file::{Staged, WriteError};
+use palpate_tissue::{FaceId, RegionId, Shape, Topology, Vec3};
 
 use crate::Surface;
 
@@ -72,6 +72,40 @@ pub fn stage_stl(
             Staged::write(&path, |out| s.surface.write_stl_to(out))
         })
         .collect()
+}
+
+/// Half of the gap in m between the walls of a closed wound in an STL.
+const WOUND_GAP_M: f64 = 5e-6;
+
+/// Writes the outer surface as one binary STL in mm; the file appears at its path only after [`Staged::put_in_place`].
+/// The walls of wounds are 0.01 mm apart at least, because readers of STL join equal points.
+pub fn stage_outer_stl(
+    topology: &Topology,
+    shape: &Shape,
+    path: &Path,
+) -> Result<Staged, WriteError> {
+    let mut apart = shape.clone();
+    let mut inwards = BTreeMap::<u32, Vec3>::new();
+    let boundary = topology.boundary();
+    for (face, triangles) in boundary.faces.iter().zip(boundary.triangles.chunks(2)) {
+        if topology.model().cells[face.cell() as usize].neighbours[face.face()] == NO_CELL {
+            continue;
+        }
+        for triangle in triangles {
+            let [a, b, c] = triangle.map(|n| shape.position(topology, n));
+            let area = (c - a).cross(&(b - a));
+            for &node in triangle {
+                *inwards.entry(node).or_default() += area;
+            }
+        }
+    }
+    for (node, area) in inwards {
+        let way = area.try_normalize(0.0).unwrap_or_default();
+        apart.displacement[node as usize] += way * WOUND_GAP_M;
+    }
+    let triangles = &topology.boundary().triangles;
+    let outer = named(&mut BTreeSet::new(), "outer", topology, &apart, triangles);
+    Staged::write(path, |out| outer.surface.write_stl_to(out))
 }
 
 /// Triangles of faces between regions.

@@ -19,8 +19,8 @@ use flate2::write::ZlibEncoder;
 use rayon::prelude::*;
 
 use palpate_tissue::cell::{NO_CELL, cell_volume, scaled_jacobian};
+use palpate_tissue::file::{Staged, WriteError};
 use palpate_tissue::{Model, Shape, Topology, Vec3};
-use palpate_tissue::{Staged, WriteError};
 
 /// Bytes per compressed block: small enough to occupy all cores, large enough to compress well.
 const BLOCK_BYTES: usize = 1 << 18;

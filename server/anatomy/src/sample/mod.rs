@@ -15,8 +15,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use palpate_tissue::file::write_file;
 use palpate_tissue::material::{MaterialOverride, nearest_name};
-use palpate_tissue::write_file;
 
 use crate::InputError;
 use crate::scene::{RegionSource, Scene, SceneInput, SceneRegion};

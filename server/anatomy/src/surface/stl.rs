@@ -3,7 +3,7 @@
 use std::io::{Cursor, ErrorKind, Write};
 use std::path::Path;
 
-use palpate_tissue::{Staged, WriteError};
+use palpate_tissue::file::{Staged, WriteError};
 use stl_io::{Normal, Triangle, Vertex};
 
 use super::read::{broken, not_a_surface, too_many_triangles};

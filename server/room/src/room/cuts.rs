@@ -5,12 +5,13 @@
 //! ```
 
 use palpate_protocol::operation::OperationKind;
+use palpate_protocol::permission::Permission;
 use palpate_protocol::request::{CutRequest, RequestRefusal};
 use palpate_protocol::tool::ToolKind;
 use palpate_protocol::{ParticipantId, RequestId, ServerTime, Span};
 
 use super::Room;
-use crate::authority::{CutOrder, LoggedCut, TissueOrder};
+use crate::authority::{CutOrder, LoggedCut, RequestedChange, TissueOrder};
 use crate::cut_budget::check_shape;
 use crate::limits::Limit;
 
@@ -37,7 +38,7 @@ impl Room {
         self.cut_queue.push(CutOrder {
             author,
             request,
-            cut,
+            change: RequestedChange::Cut(cut),
         });
         self.prepare_cuts();
         Ok(())
@@ -49,7 +50,8 @@ impl Room {
         cut: &CutRequest,
         now: ServerTime,
     ) -> Result<(), RequestRefusal> {
-        let Some(author) = self.participants.get_mut(&who) else {
+        let author = self.participants.get_mut(&who);
+        let Some(author) = author.filter(|a| a.role.may(Permission::Cut)) else {
             return Err(RequestRefusal::NotAllowed);
         };
         let Some(blade) = author.tool.filter(|t| t.kind == ToolKind::Scalpel) else {
@@ -57,6 +59,12 @@ impl Room {
         };
         if author.demotion.is_demoted() {
             return Err(RequestRefusal::Demoted);
+        }
+        if author.is_muted {
+            return Err(RequestRefusal::Muted);
+        }
+        if self.controls.frozen_from.is_some() {
+            return Err(RequestRefusal::Frozen);
         }
         if !self.log.takes_cut(author.cuts.log_used()) {
             return Err(RequestRefusal::LogFull);
@@ -69,10 +77,51 @@ impl Room {
         author.cuts.take(cut, now)
     }
 
+    /// Queues an undo, a redo or a reset, or refuses it.
+    pub(super) fn order_return(
+        &mut self,
+        author: ParticipantId,
+        request: RequestId,
+        change: RequestedChange,
+    ) -> Result<(), RequestRefusal> {
+        if !self.log.takes_return() {
+            return Err(RequestRefusal::LogFull);
+        }
+        if !self.cut_queue.has_room(author) {
+            return Err(RequestRefusal::TooMany);
+        }
+        self.cut_queue.push(CutOrder {
+            author,
+            request,
+            change,
+        });
+        self.prepare_cuts();
+        Ok(())
+    }
+
     fn prepare_cuts(&mut self) {
         while let Some(order) = self.cut_queue.poll() {
             self.orders.push_back(TissueOrder::Cut(order));
         }
+    }
+
+    /// When a cut takes effect: with the motion of its blade, which sites show D later.
+    fn effect_of_cut(&self, blade_at: Option<ServerTime>, now: ServerTime) -> ServerTime {
+        let at = blade_at.map_or(now, |at| at.min(now));
+        self.log.newest_at().map_or(at, |newest| at.max(newest))
+    }
+
+    /// Counts the strokes, of which each has any number of parts.
+    fn count_stroke(&mut self, author: ParticipantId, change: &OperationKind) {
+        let OperationKind::Cut(part) = change else {
+            return;
+        };
+        let number = part.number(author);
+        let is_open = self
+            .participants
+            .get_mut(&author)
+            .is_some_and(|author| author.latest_stroke.replace(number) == Some(number));
+        self.cuts += u64::from(!is_open);
     }
 
     /// Logs a prepared cut, or sends its refusal, and charges its author.
@@ -92,15 +141,15 @@ impl Room {
         match result {
             Ok(cut) => {
                 let before = self.version();
-                self.cuts += 1;
+                self.count_stroke(author, &cut.change);
                 self.hashes.push(cut.hash);
+                let at = self.effect_of_cut(cut.blade_at, now);
                 let apply = TissueOrder::Apply {
                     version: cut.version,
-                    at: now,
+                    at,
                 };
                 self.orders.push_back(apply);
-                let kind = OperationKind::Cut(cut.stroke);
-                let bytes = self.append_between(author, kind, now, before);
+                let bytes = self.append_between(author, cut.change, at, before);
                 match self.participants.get_mut(&author) {
                     Some(author) => author.cuts.note_log(bytes),
                     None => self.departed_log += bytes,

@@ -108,6 +108,13 @@ impl Room {
                 self.group.handle_report(participant.id, explained);
             }
         }
+        let active = self
+            .participants
+            .values()
+            .filter(|p| !p.demotion.is_demoted());
+        let paths = active.filter_map(|p| p.path_max_us(self.longest_uplink_beside(p.id)));
+        self.group
+            .bound_predictions(paths.max().unwrap_or(u32::MAX));
     }
 
     /// The longest explained uplink of the other active participants.
@@ -221,7 +228,7 @@ impl Room {
         self.append(ParticipantId::SERVER, kind, now);
     }
 
-    fn restore(&mut self, who: ParticipantId, now: ServerTime) {
+    pub(super) fn restore(&mut self, who: ParticipantId, now: ServerTime) {
         let Some(participant) = self.participants.get_mut(&who) else {
             return;
         };

@@ -5,6 +5,7 @@ use palpate_protocol::handshake::{
 };
 use palpate_protocol::name::Appearance;
 use palpate_protocol::operation::{CompensationSettings, LeaveReason, OperationKind};
+use palpate_protocol::permission::Permission;
 use palpate_protocol::session::{CloseReason, PeerMessage};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{OperationId, ParticipantId, ProtocolError, Role, ServerTime};
@@ -25,7 +26,7 @@ impl Room {
                 .map(|()| self.resume_seat(peer, &hello, &resume, now)),
             _ => self
                 .admit(&hello, now)
-                .map(|()| self.seat(peer, hello, now)),
+                .map(|invitation| self.seat(peer, hello, invitation, now)),
         };
         if let Err(reason) = result {
             self.refused += 1;
@@ -66,16 +67,22 @@ impl Room {
         )
     }
 
-    /// Admits a newcomer, or refuses it. Kept seats of participants who hardly took part give way.
-    fn admit(&mut self, hello: &Hello, now: ServerTime) -> Result<(), RefusalReason> {
+    /// Admits a newcomer, or refuses it. Kept seats of participants who hardly took part give way. Returns the
+    /// invitation; `None` for the join link of the role.
+    fn admit(&mut self, hello: &Hello, now: ServerTime) -> Result<Option<u32>, RefusalReason> {
         let role = hello.role;
-        if !self.is_granted(hello) {
-            return Err(RefusalReason::BadGrant { role });
+        let invitation = self.check_grant(hello, now)?;
+        // An instructor who lost the seat must be able to open the session again.
+        if self.controls.is_locked && !role.may(Permission::Control) {
+            return Err(RefusalReason::Locked);
+        }
+        if let Some(name) = self.controls.banned_like(&hello.name) {
+            return Err(RefusalReason::Banned { name });
         }
         if role.has_tool() && !hello.tool.as_ref().is_some_and(ToolDescription::is_valid) {
             return Err(RefusalReason::BadTool { role });
         }
-        if role.has_tool() && hello.subscription == Subscription::Thin {
+        if hello.subscription == Subscription::Thin && !role.may(Permission::WatchThin) {
             return Err(RefusalReason::ThinTool { role });
         }
         let mut leaving = self.freed_by_name(hello, now)?;
@@ -87,7 +94,7 @@ impl Room {
             self.limits.count(Limit::SeatReused);
             self.remove_seat(who, LeaveReason::Silent, now);
         }
-        Ok(())
+        Ok(invitation)
     }
 
     /// The kept seats that give way to a name.
@@ -150,9 +157,7 @@ impl Room {
         resume: &Resume,
         now: ServerTime,
     ) -> Result<(), RefusalReason> {
-        if !self.is_granted(hello) {
-            return Err(RefusalReason::BadGrant { role: hello.role });
-        }
+        let is_granted = self.is_granted(hello);
         let seat = self.participants.get_mut(&resume.participant);
         let theirs = seat.filter(|seat| {
             seat.token.matches(&resume.token)
@@ -161,8 +166,12 @@ impl Room {
                 && seat.subscription == hello.subscription
         });
         let Some(seat) = theirs else {
+            self.check_grant(hello, now)?;
             return Err(RefusalReason::NoSuchSeat);
         };
+        if !is_granted {
+            seat.admission.resumes(hello)?;
+        }
         if self.log.takes_seat() && seat.resumptions.take(1.0, now - ServerTime::ZERO) {
             Ok(())
         } else {
@@ -170,6 +179,15 @@ impl Room {
         }
     }
 
+    /// The invitation that admits a newcomer; `None` for the join link of its role.
+    fn check_grant(&self, hello: &Hello, now: ServerTime) -> Result<Option<u32>, RefusalReason> {
+        if self.is_granted(hello) {
+            return Ok(None);
+        }
+        self.controls.invitations.admit(hello, now).map(Some)
+    }
+
+    /// Whether the grant is that of the join link of the role.
     fn is_granted(&self, hello: &Hello) -> bool {
         let mut grants = self.config.grants.iter();
         grants.any(|(role, grant)| *role == hello.role && grant.matches(&hello.grant))
@@ -186,7 +204,7 @@ impl Room {
         }
     }
 
-    fn seat(&mut self, peer: PeerKey, hello: Hello, now: ServerTime) {
+    fn seat(&mut self, peer: PeerKey, hello: Hello, invitation: Option<u32>, now: ServerTime) {
         let id = self.fresh_number();
         let token = (self.config.fresh_token)(id);
         // No trainee who left takes space from an instructor.
@@ -197,7 +215,9 @@ impl Room {
         };
         let cuts = CutBudget::new(inherited, now);
         let cap = self.config.cap();
-        let participant = Participant::new(peer, token, id, hello, cap, cuts, now);
+        let mut participant = Participant::new(peer, token, id, hello, cap, cuts, now);
+        participant.admission.invitation = invitation;
+        participant.begin_frozen(self.controls.frozen_from);
         let RosterEntry {
             name, role, tool, ..
         } = participant.roster_entry();
@@ -214,6 +234,9 @@ impl Room {
             tool,
         };
         self.append(id, kind, now);
+        if let Some(invitation) = invitation {
+            self.use_invitation(id, invitation, now);
+        }
         self.start_if_due(now);
     }
 
@@ -226,9 +249,7 @@ impl Room {
         };
         seat.requests.next_connection();
         let before = std::mem::replace(&mut seat.presence, Presence::Connected(peer));
-        if !seat.demotion.is_demoted() && seat.is_inactive() {
-            seat.activate(now);
-        }
+        seat.activate(now);
         if let Presence::Connected(old) = before {
             // The old connection is dead but was not detected as lost. The tool therefore stays in use at the server
             // and all clients, with its samples and delay estimate. The later end of the old connection is ignored.
@@ -367,7 +388,7 @@ impl Room {
         self.append(who, OperationKind::Disconnected { participant: who }, now);
     }
 
-    fn remove_seat(&mut self, who: ParticipantId, reason: LeaveReason, now: ServerTime) {
+    pub(super) fn remove_seat(&mut self, who: ParticipantId, reason: LeaveReason, now: ServerTime) {
         let Some(gone) = self.participants.remove(&who) else {
             return;
         };

@@ -245,12 +245,15 @@ fn full_log_refuses_cuts_but_demotes_restores_and_admits() {
             author: ParticipantId(1),
             request: RequestId(1),
             result: Ok(LoggedCut {
-                stroke: CutStroke {
+                change: OperationKind::Cut(CutStroke {
+                    began: ServerTime::ZERO,
+                    joins: false,
                     points: Vec::new(),
                     width_m: 0.0,
-                },
+                }),
                 version: 1,
                 hash: TopologyHash(1),
+                blade_at: None,
             }),
             took: Span::ZERO,
         };

@@ -50,14 +50,20 @@ impl Hall {
             let TissueOrder::Cut(cut) = order else {
                 continue;
             };
+            let crate::RequestedChange::Cut(points) = &cut.change else {
+                continue;
+            };
             self.versions += 1;
             let logged = LoggedCut {
-                stroke: palpate_protocol::operation::CutStroke {
-                    points: cut.cut.points.iter().map(|p| p.blade).collect(),
+                change: OperationKind::Cut(palpate_protocol::operation::CutStroke {
+                    began: ServerTime::ZERO,
+                    joins: false,
+                    points: points.points.iter().map(|p| p.blade).collect(),
                     width_m: 0.0,
-                },
+                }),
                 version: self.versions,
                 hash: TopologyHash(u64::from(self.versions)),
+                blade_at: None,
             };
             let report = TissueReport::Cut {
                 author: cut.author,
@@ -366,6 +372,7 @@ proptest! {
         let refused = hall.join(3, "cid", Role::Trainee, now);
         let is_busy = is_trainee && refused == Some(RefusalReason::Busy);
         prop_assert!(is_busy || refused.is_none(), "{refused:?}");
-        prop_assert!(hall.room.delay_at(now) <= Span::from_millis(20 + 20 + 25));
+        let delay = hall.room.delay_at(now);
+        prop_assert!(delay <= Span::from_millis(20 + 20 + 25), "{delay:?}");
     }
 }

@@ -1,16 +1,20 @@
-//! Transitions of a seat compared with the state document.
+//! Transitions of a seat and of its tool compared with the state document.
 
+use palpate_protocol::control::Control;
 use palpate_protocol::handshake::{Resume, SEAT_RETENTION, Subscription};
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::{OperationId, ParticipantId, ProtocolError};
 
+use super::controls::{ANN, Lesson, freeze, mute, resume_of};
 use super::*;
 
 const DOCUMENT: &str = include_str!("../../../../protocol/STATES.md");
 
-const STATES: [&str; 4] = ["Connected", "Demoted", "Disconnected", "Removed"];
+const SEAT_STATES: [&str; 4] = ["Connected", "Demoted", "Disconnected", "Removed"];
 
-const ANN: ParticipantId = ParticipantId(1);
+const TOOL_STATES: [&str; 3] = ["Active", "Muted", "Frozen"];
+
+const BOB: ParticipantId = ParticipantId(2);
 
 /// Allowance of the delay estimate for an uplink without delay and a sample every 250 ms, ms.
 const UPLINK_MS: i64 = 50;
@@ -162,23 +166,75 @@ fn run(from: &str, what: &str) -> &'static str {
     state_of(&mut room, &mut log)
 }
 
+/// State of Bob's tool according to the answer to a cut.
+fn tool_state(lesson: &mut Lesson) -> &'static str {
+    match lesson.request(2, stroke()) {
+        Err(RequestRefusal::Muted) => "Muted",
+        Err(RequestRefusal::Frozen) => "Frozen",
+        _ => "Active",
+    }
+}
+
+fn run_tool(from: &str, what: &str) -> &'static str {
+    let mut lesson = Lesson::new();
+    match from {
+        "Muted" => lesson.control(mute(BOB, true)).unwrap(),
+        "Frozen" => lesson.control(freeze(true)).unwrap(),
+        _ => {}
+    }
+    assert_eq!(tool_state(&mut lesson), from);
+    let resume = match what {
+        "it reconnects" => Some(Some(resume_of(BOB))),
+        "it leaves and joins again" => Some(None),
+        _ => None,
+    };
+    if let Some(resume) = resume {
+        let lost = CloseReason::ConnectionLost("a test".into());
+        let reason = resume.as_ref().map_or(CloseReason::Left, |_| lost);
+        lesson.event(2, PeerEvent::Closed(reason));
+        assert_eq!(lesson.join_with(2, "bob", Role::Trainee, resume), None);
+        return tool_state(&mut lesson);
+    }
+    let hand_over = |participant| Control::HandOver { participant };
+    let control = match what {
+        "the instructor mutes it" => mute(BOB, true),
+        "the instructor unmutes it" => mute(BOB, false),
+        "the instructor hands the tool over to it" => hand_over(BOB),
+        "the instructor hands the tool over to another participant" => hand_over(ANN),
+        "the instructor freezes the session" => freeze(true),
+        "the instructor continues the session" => freeze(false),
+        other => panic!("no test for \"{other}\" of a tool"),
+    };
+    lesson.control(control).unwrap();
+    tool_state(&mut lesson)
+}
+
 #[test]
 fn seat_transitions_match_the_state_document() {
-    let section = DOCUMENT.split("## Seat\n").nth(1).unwrap();
+    check("Seat", &SEAT_STATES, run);
+}
+
+#[test]
+fn tool_transitions_match_the_state_document() {
+    check("Tool", &TOOL_STATES, run_tool);
+}
+
+fn check(heading: &str, states: &[&str], run: impl Fn(&str, &str) -> &'static str) {
+    let section = DOCUMENT.split(&format!("## {heading}\n")).nth(1).unwrap();
     let section = section.split("\n## ").next().unwrap();
     let lines = section.lines().filter(|l| l.starts_with('|')).skip(2);
     let rows: Vec<Vec<&str>> = lines
         .map(|l| l.split('|').map(str::trim).collect())
         .collect();
-    for state in STATES {
-        assert!(rows.iter().any(|r| r[1] == state), "{state} is missing");
+    for state in states {
+        assert!(rows.iter().any(|r| r[1] == *state), "{state} is missing");
         assert!(
-            rows.iter().any(|r| r[3] == state),
+            rows.iter().any(|r| r[3] == *state),
             "no transition leads to {state}"
         );
     }
     for row in &rows {
-        assert!(STATES.contains(&row[1]), "there is no state {}", row[1]);
+        assert!(states.contains(&row[1]), "there is no state {}", row[1]);
         assert_eq!(run(row[1], row[2]), row[3], "{}, {}", row[1], row[2]);
     }
 }

@@ -7,7 +7,8 @@ use super::proxy::Proxy;
 use super::surface::{Foot, Surface, blend};
 use super::surface_index::SurfaceIndex;
 use super::{TOOLS_MAX, Tool};
-use crate::equilibrium::{Disabled, Mechanism};
+use crate::cut::CutOutcome;
+use crate::equilibrium::{Disabled, Mechanism, laid_out};
 use crate::{Topology, Vec3};
 
 const NONE: u32 = u32::MAX;
@@ -28,36 +29,29 @@ pub(crate) struct Contacts {
 
 impl Contacts {
     pub(crate) fn new(topology: &Topology) -> Self {
-        let proxies = Vec::with_capacity(TOOLS_MAX);
-        Self::with(topology, SurfaceIndex::new(topology), proxies)
-    }
-
-    /// Contacts of known tools on a surface without deformed regions.
-    pub(crate) fn with(topology: &Topology, index: SurfaceIndex, proxies: Vec<Proxy>) -> Self {
         Self {
-            index,
-            proxies,
+            index: SurfaceIndex::new(topology),
+            proxies: Vec::with_capacity(TOOLS_MAX),
             samples: Vec::new(),
             nodes: Vec::new(),
-            place: vec![NONE; topology.node_count()],
+            place: laid_out(NONE, topology.node_count()),
             ignored: 0,
             disabled: Disabled::default(),
         }
     }
 
-    pub(crate) fn follow(&mut self, topology: &Topology) {
-        self.place.resize(topology.node_count(), NONE);
-        self.index.follow(topology);
+    /// Continues on a changed topology, maybe with fewer nodes.
+    pub(crate) fn exchange(&mut self, topology: &Topology, index: &mut SurfaceIndex) {
+        // Samples of the last step may refer to nodes that are gone.
+        self.clear();
+        self.place = laid_out(NONE, topology.node_count());
+        std::mem::swap(&mut self.index, index);
     }
 
-    pub(crate) fn index(&self) -> &SurfaceIndex {
-        &self.index
-    }
-
-    /// Continues with an index that was updated after a cut.
-    pub(crate) fn take(&mut self, topology: &Topology, index: SurfaceIndex) {
+    /// Follows a cut.
+    pub(crate) fn follow(&mut self, topology: &Topology, outcome: &CutOutcome) {
         self.place.resize(topology.node_count(), NONE);
-        self.index = index;
+        self.index.follow(topology, outcome);
     }
 
     /// Sets the tools of a step. Returns whether any tool changed.

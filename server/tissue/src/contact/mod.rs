@@ -48,7 +48,6 @@ pub use tool::{Form, TOOL_REACH_MAX_M, Tool};
 
 pub(crate) use contacts::Contacts;
 pub(crate) use line_search::LineSearch;
-pub(crate) use proxy::Proxy;
 pub(crate) use surface_index::SurfaceIndex;
 
 /// Contact penalty stiffness relative to that of the nodes.

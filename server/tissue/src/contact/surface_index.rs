@@ -18,12 +18,15 @@
 //!
 //! Memory: about 150 bytes per triangle and 8 per node; growth after cuts may double that.
 
+use std::collections::BTreeSet;
+
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::math::Vector;
 use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode, TraversalAction};
 
 use super::ball::Ball;
 use super::watched::Watched;
+use crate::cut::CutOutcome;
 use crate::{Rows, Topology, Vec3};
 
 /// Margin of the watched region relative to the reach. A larger margin refits more triangles per step, a smaller one
@@ -37,7 +40,9 @@ const NONE: u32 = u32::MAX;
 fn node_triangles(topology: &Topology) -> Rows<u32> {
     let triangles = topology.boundary().triangles.iter().zip(0..);
     let pairs = triangles.flat_map(|(nodes, t)| nodes.map(|node| (node, t)));
-    Rows::new(topology.node_count(), pairs)
+    let mut rows = Rows::new(topology.node_count(), pairs);
+    rows.reserve();
+    rows
 }
 
 #[derive(Clone)]
@@ -64,27 +69,30 @@ impl SurfaceIndex {
         }
     }
 
-    /// Updates the index after cuts: refits the boxes of changed triangles, inserts new ones. Rebuilds if the surface
-    /// became shorter.
-    pub(crate) fn follow(&mut self, topology: &Topology) {
+    /// Follows a cut: refits the boxes of changed triangles and inserts new ones.
+    pub(crate) fn follow(&mut self, topology: &Topology, outcome: &CutOutcome) {
         let triangles = &topology.boundary().triangles;
-        if triangles.len() < self.tree.leaf_count() as usize {
-            *self = Self::new(topology);
-            return;
+        let mut near = BTreeSet::new();
+        for &node in &outcome.touched {
+            let faces = topology.exposed_faces(node);
+            let own = faces.flat_map(|position| [2 * position as u32, 2 * position as u32 + 1]);
+            let own: BTreeSet<u32> = own.collect();
+            let has_node = |t: &u32| triangles[*t as usize].contains(&node);
+            let row: Vec<u32> = own.iter().copied().filter(has_node).collect();
+            self.node_triangles.set(node, &row);
+            near.extend(own);
         }
         let mut changed = Vec::new();
-        for (t, nodes) in triangles.iter().enumerate() {
-            let (t, new) = (t as u32, rest_box(topology, nodes));
-            let known = self.tree.leaf_node(t).map(BvhNode::aabb);
-            if known != Some(new) {
+        for t in near {
+            let new = rest_box(topology, &triangles[t as usize]);
+            if self.tree.leaf_node(t).map(BvhNode::aabb) != Some(new) {
                 self.tree.insert(new, t);
                 changed.push(t);
             }
         }
         // Insertion only widens boxes on the way to the root; this makes them tight again.
         self.tree.refit_partial(&[], &changed);
-        self.node_triangles = node_triangles(topology);
-        self.watched = Watched::new(topology.node_count());
+        self.watched.follow(topology.node_count());
     }
 
     /// Refits the regions of the following searches, in the surface displaced by `u`, with displacements of at most

@@ -129,9 +129,10 @@ proptest! {
                 Event::Cut(from, to) => {
                     let point = |tip| BladePoint { tip, axis: Vec3::z(), depth_m: 0.01 };
                     let stroke = CutStroke { points: vec![point(from), point(to)], width_m: 0.0 };
-                    let _ = cut(&mut topology, &stroke);
-                    u.resize(topology.node_count(), Vec3::zeros());
-                    index.follow(&topology);
+                    if let Ok(outcome) = cut(&mut topology, &stroke) {
+                        u.resize(topology.node_count(), Vec3::zeros());
+                        index.follow(&topology, &outcome);
+                    }
                 }
                 Event::Search(balls) => {
                     index.watch(&topology, &u, longest(&u), &balls);

@@ -5,6 +5,7 @@ use parry3d_f64::math::Vector;
 
 use super::ball::Ball;
 use super::surface_index::ROUNDING;
+use crate::equilibrium::laid_out;
 use crate::{Topology, Vec3};
 
 /// Triangles per box; they are consecutive in the tree, hence neighbours.
@@ -53,8 +54,14 @@ impl Watched {
             groups: Vec::new(),
             clusters: Vec::new(),
             shared: Vec::new(),
-            place: vec![NONE; node_count],
+            place: laid_out(NONE, node_count),
         }
+    }
+
+    /// Watches nothing on a surface with this many nodes.
+    pub(crate) fn follow(&mut self, node_count: usize) {
+        self.balls.clear();
+        self.place.resize(node_count, NONE);
     }
 
     /// Whether every triangle that at rest intersects the ball is watched.

@@ -7,14 +7,10 @@
 use std::collections::HashMap;
 
 use super::DRIFT_MAX;
+use super::soundness::{CORNER_FLOOR, SPRING_FLOOR, span};
 use crate::cell::NO_CELL;
 use crate::{Topology, Vec3};
 
-/// Smallest volume spanned at a corner of a cell, in cubed spacings (1 for a cube). Lower lets cuts
-/// come closer to a tilted blade where the lattice makes a step; higher keeps cells fatter.
-pub(crate) const CORNER_FLOOR: f64 = 0.05;
-/// Shortest spring, in spacings.
-pub(crate) const SPRING_FLOOR: f64 = 0.3;
 /// Halvings in the search for how much of a move is allowed: to 1/64 of it.
 const HALVINGS: u32 = 6;
 
@@ -97,15 +93,6 @@ impl Moves<'_> {
                 [0, 1, 2, 4].iter().all(|step| sound(slot ^ step)) && (1..7).all(long)
             })
     }
-}
-
-/// Volume spanned by the three edges at a corner of a cell.
-pub(crate) fn span(corners: &[Vec3; 8], corner: usize) -> f64 {
-    let edge = |axis: usize| {
-        let out = corners[corner ^ (1 << axis)] - corners[corner];
-        if corner >> axis & 1 == 0 { out } else { -out }
-    };
-    edge(0).cross(&edge(1)).dot(&edge(2))
 }
 
 impl Topology {

@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 
+use crate::cell::NO_CELL;
 use crate::{FaceId, Model, Topology, Vec3};
 
 /// Side of a bucket in spacings: 64 cells in each.
@@ -109,13 +110,23 @@ impl Topology {
         Arc::clone(self.cut_index.cells.get_or_init(build))
     }
 
+    /// Positions in the boundary of the exposed faces at a node.
+    pub(crate) fn exposed_faces(&self, node: u32) -> impl Iterator<Item = usize> + '_ {
+        let cells = self.cells_around(node).into_iter().enumerate();
+        let faces = cells.filter(|c| c.1 != NO_CELL).flat_map(|(slot, cell)| {
+            (0..3).map(move |axis| FaceId::new(cell, 2 * axis + (slot >> axis & 1)))
+        });
+        let exposed = faces.filter(|&face| self.across(face) == NO_CELL);
+        exposed.filter_map(|face| self.boundary_position(face))
+    }
+
     pub(crate) fn boundary_position(&self, face: FaceId) -> Option<usize> {
         if let Some(&position) = self.cut_index.opened.get(&face) {
             return Some(position as usize);
         }
         // Those of the model as built are in order.
-        let built = self.boundary.faces.len() - self.cut_index.opened.len();
-        self.boundary.faces[..built].binary_search(&face).ok()
+        let built = self.boundary().faces.len() - self.cut_index.opened.len();
+        self.boundary().faces[..built].binary_search(&face).ok()
     }
 
     /// Centre of a cell at rest.

@@ -77,8 +77,11 @@ fn source(moves: &Moves<'_>, node: u32) -> Moved {
 
 impl Shape {
     /// Takes over a cut that was made in its topology: one displacement per node again, and no node
-    /// jumps. Call it once per cut, in order, with the topology as the cut left it.
-    pub fn follow(&mut self, topology: &Topology, outcome: &CutOutcome) {
+    /// jumps. Call it once per cut, in order, with the topology as the cut left it. After a return to fewer cuts the
+    /// displacements of the nodes that are gone are dropped.
+    pub(crate) fn follow(&mut self, topology: &Topology, outcome: &CutOutcome) {
+        let remaining = topology.node_count() - outcome.doubled.len();
+        self.displacement.truncate(remaining);
         let taken: Vec<Vec3> = outcome
             .moved
             .iter()

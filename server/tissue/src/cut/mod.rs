@@ -14,10 +14,13 @@
 //!
 //! ```text
 //! stroke.rs      motion of the blade      sheet_snap.rs     nodes onto the swept surface
-//! ribbon.rs      the swept surface        bounded_moves.rs  limits of cell distortion
-//! sheet.rs       the faces it opens       refine.rs         relaxation of the nodes around
-//! cell_fans.rs   cell groups at a node    part.rs           doubling, opening, deriving
-//! cell_index.rs  cells near a cut         follow.rs         deformed shapes after a cut
+//! ribbon.rs      the swept surface        refine.rs         relaxation of the nodes around
+//! sheet.rs       the faces it opens       projections.rs    sound cells by projections
+//! cell_fans.rs   cell groups at a node    soundness.rs      limits of cell distortion
+//! cell_index.rs  cells near a cut         part.rs           doubling, opening, deriving
+//! patch.rs       nodes around a sheet     width.rs          the width of a wound
+//! freedom.rs     directions of a node     follow.rs         deformed shapes after a cut
+//! interface.rs   interfaces as built      swept_surface.rs  distances from it
 //! ```
 //!
 //! Everything runs in one order that depends on the topology and the stroke alone: the same strokes
@@ -28,12 +31,19 @@ mod cell_fans;
 mod cell_index;
 mod components;
 mod follow;
+mod freedom;
+mod interface;
 mod part;
+mod patch;
+mod projections;
 mod refine;
 mod ribbon;
 mod sheet;
 mod sheet_snap;
+mod soundness;
 mod stroke;
+mod stroke_part;
+mod swept_surface;
 mod to_rest;
 mod trilinear;
 mod width;
@@ -47,20 +57,22 @@ pub use stroke::{
     BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, BladePoint, CutStroke, STROKE_LENGTH_MAX_M,
     WOUND_WIDTH_MAX_M,
 };
+pub use stroke_part::StrokePart;
+pub use swept_surface::SweptSurface;
 pub use to_rest::{RestPoint, to_rest};
 
 use crate::limits::NODES_MAX;
 use crate::{RegionId, Topology};
 use bounded_moves::Moves;
-use refine::Surroundings;
+use freedom::Freedom;
+use patch::Patch;
+use projections::Projections;
 use ribbon::Ribbon;
-use sheet_snap::{Freedom, SheetNode};
+use sheet_snap::SheetNode;
 
 /// Farthest a node's rest position may ever be from where the model was built, in spacings, however
 /// many cuts pass; a node at this bound falls short of the next cut instead.
 pub(crate) const DRIFT_MAX: f64 = 1.0;
-/// Retries of nodes that fell short while their surroundings yield.
-const RETRIES: usize = 3;
 
 /// Reasons for rejecting a stroke. The topology is then unchanged.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -71,6 +83,9 @@ pub enum CutError {
          two cells"
     )]
     NothingNew,
+    /// The blade is outside of the tissue.
+    #[error("the blade passes through no tissue, or less deep than half a cell")]
+    NoTissue,
     /// For the reason that the message states.
     #[error("{0}")]
     Rejected(String),
@@ -107,6 +122,29 @@ pub struct CutOutcome {
     pub regions_cut: Vec<RegionId>,
 }
 
+impl CutOutcome {
+    /// Whether it is an undo, a redo or a reset instead of a cut.
+    pub fn is_return(&self) -> bool {
+        self.faces_opened == 0
+    }
+
+    /// The outcome of a change to other cuts: nodes at the end may be gone, then `doubled` is added, and nothing else moves in
+    /// a shape.
+    pub(crate) fn returned(version: u32, doubled: Vec<(u32, u32)>) -> Self {
+        Self {
+            version,
+            doubled,
+            moved: Vec::new(),
+            touched: Vec::new(),
+            faces_opened: 0,
+            nodes_snapped: 0,
+            nodes_short: 0,
+            components_near: 0,
+            regions_cut: Vec::new(),
+        }
+    }
+}
+
 /// Cuts a topology with a stroke. On an error the topology is untouched.
 pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, CutError> {
     let spacing = topology.model.spacing_m;
@@ -125,6 +163,7 @@ pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, Cu
     }
 
     // All checks are done; nothing fails from here on.
+    let before = topology.hashed();
     let ribbon = Ribbon::continued(&stroke.points, spacing);
     let (moved, mut changed) = settle(topology, &ribbon, &mut nodes);
     let doubled = part::double(topology, &sheet);
@@ -132,6 +171,7 @@ pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, Cu
     changed.extend(width::widen(topology, stroke, &ribbon, &doubled));
     changed.extend(doubled.iter().flat_map(|d| [d.0, d.1]));
     let touched = derive_around(topology, &changed);
+    topology.rehash(&before, &touched);
     topology.version += 1;
 
     let mut around: Vec<u32> = nodes.iter().map(|n| n.node).collect();
@@ -153,24 +193,28 @@ pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, Cu
     })
 }
 
-/// Moves the nodes of the sheet onto the ribbon, then relaxes the surroundings; no node is doubled yet.
+/// Moves the nodes of the sheet onto the ribbon and the nodes around along; no node is doubled yet.
 fn settle(
     topology: &mut Topology,
     ribbon: &Ribbon,
     nodes: &mut [SheetNode],
 ) -> (Vec<Moved>, BTreeSet<u32>) {
-    let mut ids: Vec<u32> = nodes.iter().map(|n| n.node).collect();
-    ids.sort_unstable();
-    let surroundings = Surroundings::of(topology, &ids);
+    let ids: Vec<u32> = nodes.iter().map(|n| n.node).collect();
+    let mut patch = Patch::around(topology, &ids);
+    sheet_snap::place(&mut patch, nodes, ribbon);
+    patch.relax(topology);
+    Projections::new(topology, ribbon, &mut patch, nodes).run();
+    patch.backtrack();
+    sheet_snap::mark(&patch, nodes, ribbon);
     let mut moves = Moves {
         topology,
         old: HashMap::new(),
     };
-    sheet_snap::snap(&mut moves, ribbon, nodes);
-    for _ in 0..RETRIES {
-        surroundings.relax(&mut moves);
-        sheet_snap::retry(&mut moves, ribbon, nodes);
+    for n in 0..patch.movable {
+        if patch.at[n] != patch.start[n] {
+            moves.old.insert(patch.ids[n], patch.start[n]);
+            moves.topology.rest[patch.ids[n] as usize] = patch.at[n];
+        }
     }
-    surroundings.relax(&mut moves);
     (follow::moved(&moves), moves.old.keys().copied().collect())
 }

@@ -31,7 +31,7 @@ pub(crate) fn double(topology: &mut Topology, sheet: &[FaceId]) -> Vec<(u32, u32
                 topology.corners[cell as usize][slot] = new;
             }
             topology.node_cells.push(cells);
-            topology.rest.push(topology.rest[node as usize]);
+            topology.rest.push(topology.rest(node));
             topology.mass.push(0.0);
             topology.pinned.push(false);
         }
@@ -48,11 +48,11 @@ pub(crate) fn open(topology: &mut Topology, sheet: &[FaceId], doubled: &[(u32, u
             for axis in 0..3 {
                 let face = FaceId::new(cell, 2 * axis + (slot >> axis & 1));
                 if let Some(position) = topology.boundary_position(face) {
+                    let pair = 2 * position..2 * position + 2;
                     let [first, second] =
-                        [0, 1].map(|i| topology.boundary.triangles[2 * position + i]);
+                        [0, 1].map(|i| topology.boundary().triangles[pair.start + i]);
                     let triangles = topology.split(face, first[0] == second[0]);
-                    topology.boundary.triangles[2 * position..2 * position + 2]
-                        .copy_from_slice(&triangles);
+                    topology.boundary_mut().triangles[pair].copy_from_slice(&triangles);
                 }
             }
         }
@@ -62,10 +62,10 @@ pub(crate) fn open(topology: &mut Topology, sheet: &[FaceId], doubled: &[(u32, u
         let along = topology.parted_diagonal(face);
         for (side, along) in [(face, along), (behind, topology.mirrored(face, along))] {
             topology.cut[side.cell() as usize] |= 1 << side.face();
-            let position = topology.boundary.faces.len() as u32;
+            let position = topology.boundary().faces.len() as u32;
             let triangles = topology.split(side, along);
-            topology.boundary.faces.push(side);
-            topology.boundary.triangles.extend(triangles);
+            topology.boundary_mut().faces.push(side);
+            topology.boundary_mut().triangles.extend(triangles);
             topology.cut_index.opened.insert(side, position);
         }
     }

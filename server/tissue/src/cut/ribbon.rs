@@ -5,6 +5,8 @@
 //! of its three edges. A zero counts as positive, with the ends of an edge in one order for both
 //! triangles that share it, so that a segment through a shared edge crosses exactly one of them.
 
+use std::ops::Range;
+
 use robust::{Coord3D, orient3d};
 
 use super::DRIFT_MAX;
@@ -30,11 +32,56 @@ pub(crate) struct Triangle {
     pub(crate) normal: Vec3,
     /// Which step of the stroke it belongs to.
     pub(crate) step: usize,
+    bounds: Bounds,
+}
+
+/// Triangles beside each other on a short part of the path.
+#[derive(Debug)]
+pub(crate) struct Chunk {
+    pub(crate) bounds: Bounds,
+    triangles: Range<usize>,
+}
+
+/// A box around points.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Bounds {
+    low: Vec3,
+    high: Vec3,
+}
+
+impl Bounds {
+    fn of([a, b, c]: &[Vec3; 3]) -> Self {
+        Self {
+            low: a.inf(b).inf(c),
+            high: a.sup(b).sup(c),
+        }
+    }
+
+    fn with(&self, other: &Self) -> Self {
+        Self {
+            low: self.low.inf(&other.low),
+            high: self.high.sup(&other.high),
+        }
+    }
+
+    /// Squared distance of a point from the box.
+    pub(crate) fn distance_squared(&self, p: &Vec3) -> f64 {
+        let out = (self.low - p).sup(&(p - self.high));
+        out.sup(&Vec3::zeros()).norm_squared()
+    }
+
+    /// Whether the box of a segment is beside it.
+    fn is_apart(&self, p: &Vec3, q: &Vec3) -> bool {
+        (0..3).any(|a| p[a].max(q[a]) < self.low[a] || p[a].min(q[a]) > self.high[a])
+    }
 }
 
 impl Triangle {
     /// Whether a segment crosses it; see the file's head.
     pub(crate) fn crosses(&self, p: &Vec3, q: &Vec3) -> bool {
+        if self.bounds.is_apart(p, q) {
+            return false;
+        }
         // Early exit; points within rounding of the plane are left to the exact determinants.
         let (hp, hq) = (self.height(p), self.height(q));
         if hp * hq > 0.0 && hp.abs().min(hq.abs()) > 1e-6 * (q - p).amax() {
@@ -60,6 +107,19 @@ impl Triangle {
     /// Distance of a point from its plane.
     pub(crate) fn height(&self, p: &Vec3) -> f64 {
         (p - self.points[0]).dot(&self.normal)
+    }
+
+    /// Whether all of another triangle is within a distance of one column of this one.
+    fn is_beside(&self, other: &Self, distance: f64) -> bool {
+        // Even numbers are those of tips, odd ones those of tops.
+        let column = |id: u32| {
+            let last = (0..3).rfind(|&i| self.ids[i] % 2 == id % 2);
+            last.map(|i| self.points[i])
+        };
+        (0..3).all(|i| {
+            let end = column(other.ids[i]);
+            end.is_some_and(|end| (other.points[i] - end).norm() <= distance)
+        })
     }
 
     /// The nearest point of it, by the region of the plane that the point's foot falls into.
@@ -93,7 +153,8 @@ pub(crate) struct Foot {
 #[derive(Debug)]
 pub(crate) struct Ribbon {
     triangles: Vec<Triangle>,
-    /// Bucket and triangle, sorted: which triangles are near a place.
+    chunks: Vec<Chunk>,
+    /// Bucket and chunk, sorted: which triangles are near a place.
     bins: Vec<(Key, u32)>,
     spacing: f64,
 }
@@ -134,6 +195,7 @@ impl Ribbon {
                 let size = normal.norm();
                 if size > 1e-9 * spacing * spacing {
                     triangles.push(Triangle {
+                        bounds: Bounds::of(&points),
                         points,
                         ids,
                         normal: normal / size,
@@ -144,6 +206,7 @@ impl Ribbon {
         }
         let mut ribbon = Self {
             triangles,
+            chunks: Vec::new(),
             bins: Vec::new(),
             spacing,
         };
@@ -152,47 +215,69 @@ impl Ribbon {
     }
 
     fn fill_bins(&mut self) {
-        for (index, triangle) in self.triangles.iter().enumerate() {
-            let keys = keys_of_triangle(&triangle.points, self.spacing, REACH);
-            self.bins
-                .extend(keys.into_iter().map(|k| (k, index as u32)));
+        let mut first = 0;
+        while first < self.triangles.len() {
+            let lead = &self.triangles[first];
+            let rest = &self.triangles[first + 1..];
+            let others = rest.iter().take_while(|t| lead.is_beside(t, self.spacing));
+            let triangles = first..first + 1 + others.count();
+            let keys = keys_of_triangle(&lead.points, self.spacing, REACH + 1.0);
+            let chunk = self.chunks.len() as u32;
+            self.bins.extend(keys.into_iter().map(|k| (k, chunk)));
+            let all = &self.triangles[triangles.clone()];
+            first = triangles.end;
+            self.chunks.push(Chunk {
+                bounds: all
+                    .iter()
+                    .skip(1)
+                    .fold(all[0].bounds, |b, t| b.with(&t.bounds)),
+                triangles,
+            });
         }
         self.bins.sort_unstable();
     }
 
-    /// The buckets near the surface, each with the triangles near it.
-    pub(crate) fn buckets(&self) -> impl Iterator<Item = (Key, impl Iterator<Item = &Triangle>)> {
+    /// The buckets near the surface, each with the chunks near it.
+    pub(crate) fn buckets(&self) -> impl Iterator<Item = (Key, impl Iterator<Item = &Chunk>)> {
         let groups = self.bins.chunk_by(|a, b| a.0 == b.0);
         groups.map(|group| {
-            let triangles = group.iter().map(|b| &self.triangles[b.1 as usize]);
-            (group[0].0, triangles)
+            let chunks = group.iter().map(|b| &self.chunks[b.1 as usize]);
+            (group[0].0, chunks)
         })
+    }
+
+    pub(crate) fn triangles(&self, chunk: &Chunk) -> &[Triangle] {
+        &self.triangles[chunk.triangles.clone()]
     }
 
     /// The point of the surface nearest to `p`, if it is near at all.
     pub(crate) fn nearest(&self, p: &Vec3) -> Option<Foot> {
         let key = Key::of(p, BUCKET * self.spacing);
         let start = self.bins.partition_point(|b| b.0 < key);
-        let mut best: Option<(f64, Foot)> = None;
-        for &(_, index) in self.bins[start..].iter().take_while(|b| b.0 == key) {
-            let triangle = &self.triangles[index as usize];
-            if best.is_some_and(|b| triangle.height(p).powi(2) >= b.0) {
+        let mut best = f64::INFINITY;
+        let mut nearest = None;
+        for &(_, chunk) in self.bins[start..].iter().take_while(|b| b.0 == key) {
+            let chunk = &self.chunks[chunk as usize];
+            if chunk.bounds.distance_squared(p) >= best {
                 continue;
             }
-            let point = triangle.nearest(p);
-            let distance = (point - p).norm_squared();
-            if best.is_none_or(|b| distance < b.0) {
-                let (normal, step) = (triangle.normal, triangle.step);
-                best = Some((
-                    distance,
-                    Foot {
+            for triangle in self.triangles(chunk) {
+                let bound = triangle.bounds.distance_squared(p);
+                if bound.max(triangle.height(p).powi(2)) >= best {
+                    continue;
+                }
+                let point = triangle.nearest(p);
+                let distance = (point - p).norm_squared();
+                if distance < best {
+                    best = distance;
+                    nearest = Some(Foot {
                         point,
-                        normal,
-                        step,
-                    },
-                ));
+                        normal: triangle.normal,
+                        step: triangle.step,
+                    });
+                }
             }
         }
-        best.map(|b| b.1)
+        nearest
     }
 }

@@ -16,7 +16,7 @@ use std::collections::{BTreeSet, HashMap};
 
 use super::CutError;
 use super::cell_fans::{Fans, Opening};
-use super::ribbon::{Ribbon, Triangle};
+use super::ribbon::{Chunk, Ribbon, Triangle};
 use crate::cell::{FACES, NO_CELL};
 use crate::{FaceId, RegionId, Topology, Vec3};
 
@@ -41,13 +41,18 @@ pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId
     let spacing = topology.model.spacing_m;
     let mut met = Met::default();
     let mut near: Vec<&Triangle> = Vec::new();
-    for (key, triangles) in ribbon.buckets() {
-        let triangles: Vec<&Triangle> = triangles.collect();
+    let reach = SEGMENT_MAX * spacing;
+    for (key, chunks) in ribbon.buckets() {
+        let chunks: Vec<&Chunk> = chunks.collect();
         for cell in index.cells(key) {
             let from = topology.centre(cell) + TIE * spacing;
             near.clear();
-            let reach = SEGMENT_MAX * spacing;
-            near.extend(triangles.iter().filter(|t| t.height(&from).abs() < reach));
+            for chunk in &chunks {
+                if chunk.bounds.distance_squared(&from) < reach * reach {
+                    let triangles = ribbon.triangles(chunk).iter();
+                    near.extend(triangles.filter(|t| t.height(&from).abs() < reach));
+                }
+            }
             if !near.is_empty() {
                 meet(topology, cell, &from, &near, &mut met);
             }
@@ -60,9 +65,7 @@ pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId
             topology.model.regions[region.index()].name
         ))),
         (true, None) if met.open => Err(CutError::NothingNew),
-        (true, None) => Err(CutError::Rejected(
-            "the blade passes through no tissue, or less deep than half a cell".into(),
-        )),
+        (true, None) => Err(CutError::NoTissue),
     }
 }
 

@@ -12,8 +12,8 @@
 use std::collections::{BTreeSet, HashMap};
 
 use super::bounded_moves::Moves;
+use super::freedom::{Freedom, freedom};
 use super::ribbon::Ribbon;
-use super::sheet_snap::{Freedom, freedom};
 use super::stroke::CutStroke;
 use crate::cell::NO_CELL;
 use crate::{Topology, Vec3};

@@ -293,7 +293,7 @@ fn add_springs(
     for (share, [a, b]) in shares.into_iter().zip(crate::cell::PAIRS) {
         let d: Vec3 = topology.rest(corners[b]) - topology.rest(corners[a]);
         let length = d.norm().max(floor);
-        let k = share * energy * elastic.along(&d) / (length * length);
+        let k = share * energy * elastic.fibre_factor(&d) / (length * length);
         let (i, j) = (CORNER[position][a], CORNER[position][b]);
         let (i, offset) = (i.min(j), i.abs_diff(j));
         let step = STEPS.iter().position(|s| s.0 == offset).unwrap_or(0);

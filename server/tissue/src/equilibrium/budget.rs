@@ -18,8 +18,7 @@ pub struct Budget<'a> {
     /// Relative residual at which to stop; 1e-6 counts as converged. From 0.02 a step without held nodes is quick:
     /// elements beyond the active set defer their residual. Nodes follow the coarse levels to within 0.01 mm.
     pub tolerance: f64,
-    /// A quick step that leaves the nodes far from the tools where they are. They are updated by
-    /// [`Solver::prolongate_all`](crate::Solver::prolongate_all).
+    /// A quick step that leaves the nodes far from the tools where they are. The next cut or full step moves them.
     pub near: bool,
     /// Called between iterations; `true` stops, for example at a time limit. One iteration is always made, and up to
     /// three where a tool has jumped, or in a quick step has just touched the tissue.

@@ -44,6 +44,11 @@ impl List {
         }
     }
 
+    /// Takes indices below `len` from now on.
+    pub(super) fn grow(&mut self, len: usize) {
+        self.member.resize(len, false);
+    }
+
     #[inline]
     pub(super) fn insert(&mut self, item: u32) -> bool {
         let member = &mut self.member[item as usize];
@@ -315,6 +320,14 @@ impl CoarseLevel {
             }
         }
         pending
+    }
+
+    /// Takes elements below `len` from now on.
+    pub(super) fn grow_pending(&mut self, len: usize) {
+        self.pending.resize(len, NOTHING);
+        self.deferred_force.resize(len, NOTHING);
+        self.has_pending.resize(len, false);
+        self.deferred_square.resize(len, 0.0);
     }
 
     /// Drops points whose deferred residual is zero.

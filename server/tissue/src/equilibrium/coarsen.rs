@@ -36,7 +36,7 @@ pub(crate) fn octant(at: [i32; 3]) -> usize {
     (at[0] & 1) as usize | ((at[1] & 1) as usize) << 1 | ((at[2] & 1) as usize) << 2
 }
 
-fn place(at: [i32; 3]) -> [i32; 3] {
+pub(crate) fn place(at: [i32; 3]) -> [i32; 3] {
     at.map(|v| v.div_euclid(2))
 }
 
@@ -138,7 +138,7 @@ fn merge_corners(
 
 /// Corners of an element on which corner `corner` of the cell at `octant` depends: for each, its number among those of
 /// the point (by odd axes) and the slot of the element.
-fn support(octant: usize, corner: usize) -> impl Iterator<Item = (usize, usize)> {
+pub(crate) fn support(octant: usize, corner: usize) -> impl Iterator<Item = (usize, usize)> {
     let at: [usize; 3] = std::array::from_fn(|a| (octant >> a & 1) + (corner >> a & 1));
     (0..8usize).filter_map(move |low| {
         let mut slot = 0;
@@ -186,18 +186,18 @@ impl Joints {
 }
 
 /// Disjoint sets; the root of a set is its lowest member.
-struct Sets {
+pub(crate) struct Sets {
     parent: Vec<u32>,
 }
 
 impl Sets {
-    fn new(len: usize) -> Self {
+    pub(crate) fn new(len: usize) -> Self {
         Self {
             parent: (0..len as u32).collect(),
         }
     }
 
-    fn find(&mut self, mut a: u32) -> u32 {
+    pub(crate) fn find(&mut self, mut a: u32) -> u32 {
         while self.parent[a as usize] != a {
             let up = self.parent[self.parent[a as usize] as usize];
             self.parent[a as usize] = up;
@@ -206,7 +206,7 @@ impl Sets {
         a
     }
 
-    fn join(&mut self, a: u32, b: u32) {
+    pub(crate) fn join(&mut self, a: u32, b: u32) {
         let (a, b) = (self.find(a), self.find(b));
         if a < b {
             self.parent[b as usize] = a;

@@ -25,6 +25,12 @@ impl ContactSmoother {
         }
     }
 
+    /// Takes the bricks and nodes of a larger hierarchy from now on.
+    pub(super) fn grow(&mut self, hierarchy: &Hierarchy) {
+        self.bricks.grow(hierarchy.bricks.len());
+        self.seen.grow(hierarchy.prolongation.len());
+    }
+
     /// Collects the bricks under these contacts.
     fn gather(&mut self, hierarchy: &Hierarchy, fine: &FineLevel, contacts: &Contacts) {
         self.bricks.clear();

@@ -93,16 +93,6 @@ impl Multigrid {
         }
     }
 
-    /// Limits of a deferred element of level l + 1: a force in N (coarse errors are a smaller part of a larger force)
-    /// and a change of size in m (coarse matrices do not know that tissue stiffens).
-    fn deferral_limits(&self, hierarchy: &Hierarchy, l: usize, threshold: f32) -> [f32; 2] {
-        let side = (2 << l) as f32 / hierarchy.per_spacing;
-        [
-            self.pending * threshold * (1 << l) as f32,
-            self.strained * side,
-        ]
-    }
-
     /// Chooses the active elements of every level around the refined elements of level 1; `more` extends the earlier
     /// choice.
     pub(super) fn select(&mut self, hierarchy: &Hierarchy, more: bool) {
@@ -159,39 +149,46 @@ impl Multigrid {
         for l in (0..self.grids.len()).rev() {
             follow_coarser(hierarchy, &mut self.grids, l);
         }
-        for l in (1..self.grids.len()).rev() {
-            let deferral_limits = self.deferral_limits(hierarchy, l - 1, threshold);
-            let (finer, coarser) = self.grids.split_at_mut(l);
-            let (below, grid) = (&mut finer[l - 1], &mut coarser[0]);
-            let (level, level_below) = (&hierarchy.levels[l], &hierarchy.levels[l - 1]);
-            for i in 0..grid.refined.items.len() {
-                let element = grid.refined.items[i];
-                if !grid.has_pending[element as usize] {
-                    continue;
-                }
-                let pending = grid.take_pending(level, element);
-                for &child in level.children.row(element) {
-                    let by = to_child(&pending, level_below.octant[child as usize]);
-                    let force = level_below.force(child, &by);
-                    let slack = self.slack[usize::from(level_below.element(child).1.even)];
-                    let force = force.map(|f| f.map(|v| slack * v));
-                    let waits = below.defer_displacement(level_below, child, &by, &force, 1.0);
-                    if exceeds(waits, deferral_limits) && !below.refined.contains(child) {
-                        below.to_refine.insert(child);
-                    }
+        for l in (0..self.grids.len()).rev() {
+            for i in 0..self.grids[l].refined.items.len() {
+                let element = self.grids[l].refined.items[i];
+                if self.grids[l].has_pending[element as usize] {
+                    self.release(hierarchy, l, element, threshold);
                 }
             }
-            grid.trim();
+            self.grids[l].trim();
         }
-        let grid = &mut self.grids[0];
-        for i in 0..grid.refined.items.len() {
-            let element = grid.refined.items[i];
-            if grid.has_pending[element as usize] {
-                grid.take_pending(&hierarchy.levels[0], element);
-            }
-        }
-        grid.trim();
         self.grids.iter().any(|p| !p.to_refine.items.is_empty())
+    }
+
+    /// Passes the pending displacement of an element on to its children, and marks those that exceed their limits for
+    /// refinement. The bricks of an element of level 1 must be computed afterwards.
+    pub(super) fn release(
+        &mut self,
+        hierarchy: &Hierarchy,
+        l: usize,
+        element: u32,
+        threshold: f32,
+    ) {
+        let level = &hierarchy.levels[l];
+        let (finer, coarser) = self.grids.split_at_mut(l);
+        let pending = coarser[0].take_pending(level, element);
+        let Some(below) = finer.last_mut() else {
+            return;
+        };
+        let level_below = &hierarchy.levels[l - 1];
+        for &child in level.children.row(element) {
+            let by = to_child(&pending, level_below.octant[child as usize]);
+            let force = level_below.force(child, &by);
+            let slack = self.slack[usize::from(level_below.element(child).1.even)];
+            let force = force.map(|f| f.map(|v| slack * v));
+            let waits = below.defer_displacement(level_below, child, &by, &force, 1.0);
+            let limits =
+                deferral_limits(hierarchy, l - 1, [self.pending * threshold, self.strained]);
+            if exceeds(waits, limits) && !below.refined.contains(child) {
+                below.to_refine.insert(child);
+            }
+        }
     }
 
     /// One V-cycle for the loads on level 1; leaves the correction in the `e` of every level.
@@ -328,7 +325,7 @@ impl Multigrid {
     pub(super) fn commit(&mut self, hierarchy: &Hierarchy, share: f32, threshold: f32) {
         for l in (0..self.grids.len()).rev() {
             let level = &hierarchy.levels[l];
-            let deferral_limits = self.deferral_limits(hierarchy, l, threshold);
+            let limits = deferral_limits(hierarchy, l, [self.pending * threshold, self.strained]);
             let (finer, coarser) = self.grids.split_at_mut(l + 1);
             let grid = &mut finer[l];
             for &point in &grid.points.items {
@@ -351,7 +348,7 @@ impl Multigrid {
                 let by = level.corners[element as usize].map(|p| grid.e[p as usize]);
                 if exceeds(
                     grid.defer_displacement(level, element, &by, &force, share),
-                    deferral_limits,
+                    limits,
                 ) {
                     grid.to_refine.insert(element);
                 }
@@ -500,8 +497,15 @@ fn smooth<S: Simd>(
     }
 }
 
-fn exceeds(waits: [f32; 2], deferral_limits: [f32; 2]) -> bool {
-    waits[0] > deferral_limits[0] || waits[1] > deferral_limits[1]
+/// Limits of a deferred element of level l + 1: a force in N (coarse errors are a smaller part of a larger force) and a
+/// change of size in m (coarse matrices do not know that tissue stiffens), from those of level 1 and relative to the side.
+fn deferral_limits(hierarchy: &Hierarchy, l: usize, [force, strain]: [f32; 2]) -> [f32; 2] {
+    let side = (2 << l) as f32 / hierarchy.per_spacing;
+    [force * (1 << l) as f32, strain * side]
+}
+
+fn exceeds(waits: [f32; 2], limits: [f32; 2]) -> bool {
+    waits[0] > limits[0] || waits[1] > limits[1]
 }
 
 /// Adds the restricted force of a point to the loads of the coarser level.

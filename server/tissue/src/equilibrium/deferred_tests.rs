@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::{Budget, Material, Shape, Solver, Tool, Topology, Vec3, block};
+use super::Solver;
+use crate::{Budget, Material, Shape, Tool, Topology, Vec3, block};
 
 const CELL: f64 = 4e-3;
 

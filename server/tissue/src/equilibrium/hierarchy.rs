@@ -1,18 +1,20 @@
-//! Immutable data of the equilibrium of one topology: its bricks and its coarse lattices.
+//! Bricks and coarse lattices of the equilibrium of one topology.
 //!
 //! Level 0 are the nodes of the model with the bricks as their elements; level 1 and up are lattices
 //! of twice the side each, with matrices as their elements (`element`, `coarsen`). Every element of
-//! level l + 1 has children of level l; those of level 1 have bricks.
+//! level l + 1 has children of level l; those of level 1 have bricks. A cut changes all of it around
+//! the new faces only (`hierarchy_change`).
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::brick::{Brick, Draft, Form, LOCALS};
 use super::coarsen::{Coarse, Joints, Piece, coarsen, octant};
-use super::element::{Matrix, Sum};
+use super::element::Matrix;
+use super::kinds::{Kinds, Parts};
 use super::prolongation::{FREE, Prolongation};
+use super::quad::reserve;
 use crate::cell::NO_CELL;
 use crate::{FaceId, Rows, Topology, Vec3};
 
@@ -27,15 +29,16 @@ const BATCH: usize = 8192;
 pub(super) type Table = Rows<u32>;
 
 /// One coarse lattice.
+#[derive(Clone)]
 pub(super) struct Level {
     /// Points at the corners of each element.
-    pub(super) corners: Arc<Vec<[u32; 8]>>,
+    pub(super) corners: Vec<[u32; 8]>,
     /// Matrix of each element.
     pub(super) matrix: Vec<u32>,
     pub(super) matrices: Vec<Arc<Matrix>>,
     /// Elements of the finer level in each element; on level 1 bricks.
     pub(super) children: Table,
-    /// Element of the next coarser level that each element is part of.
+    /// Element of the next coarser level that each element is part of; empty on the coarsest.
     pub(super) parent: Vec<u32>,
     /// Position of each element in its parent.
     pub(super) octant: Vec<u8>,
@@ -51,27 +54,32 @@ impl Level {
     pub(super) fn points(&self) -> usize {
         self.bound.len()
     }
-}
 
-/// Forms and matrices shared by equal bricks and elements, numbered permanently: a cut only computes new ones.
-#[derive(Clone, Default)]
-struct Kinds {
-    forms: Vec<Arc<Form>>,
-    form_of: BTreeMap<u128, u32>,
-    levels: Vec<LevelKinds>,
-}
+    /// The points of the next coarser level that a point follows.
+    pub(super) fn points_above(&self, point: u32) -> impl Iterator<Item = u32> + '_ {
+        let has_parents = !self.parent.is_empty();
+        let row = has_parents.then(|| self.prolongation.row(point as usize));
+        row.into_iter().flatten().map(|(point, _)| point)
+    }
 
-/// Matrices of one level by their parts.
-#[derive(Clone, Default)]
-struct LevelKinds {
-    matrices: Vec<Arc<Matrix>>,
-    known: BTreeMap<Parts, u32>,
+    /// Diagonal bound of a point.
+    pub(super) fn bound_of(&self, point: u32) -> [f32; 6] {
+        let mut bound = [0.0f32; 6];
+        for &element in self.around.row(point) {
+            let (corners, matrix) = self.element(element);
+            let at = corners.iter().zip(&matrix.bound).filter(|c| *c.0 == point);
+            for (_, own) in at {
+                for (sum, v) in bound.iter_mut().zip(own) {
+                    *sum += v;
+                }
+            }
+        }
+        bound
+    }
 }
-
-/// Parts of an element: forms and fixed nodes of its bricks, or matrices and octants of its children.
-type Parts = Vec<(u32, u32)>;
 
 /// Bricks and coarse lattices of a topology.
+#[derive(Clone)]
 pub(crate) struct Hierarchy {
     pub(super) bricks: Vec<Brick>,
     pub(super) forms: Vec<Arc<Form>>,
@@ -89,9 +97,6 @@ pub(crate) struct Hierarchy {
     pub(super) per_spacing: f32,
     /// Whether any tissue bottoms out.
     pub(super) bottoms_out: bool,
-    kinds: Kinds,
-    /// First brick of the element of each cell.
-    brick_of: Vec<u32>,
 }
 
 impl Hierarchy {
@@ -107,35 +112,46 @@ impl Hierarchy {
         (high - low).max()
     }
 
-    /// Builds the hierarchy of a topology.
-    pub(super) fn new(topology: &Topology) -> Self {
-        Self::after(topology, None)
+    /// Makes room for what cuts will add.
+    pub(super) fn reserve(&mut self) {
+        reserve(&mut self.bricks);
+        reserve(&mut self.element_of);
+        reserve(&mut self.forms);
+        reserve(&mut self.shared);
+        self.around.reserve();
+        self.nodes_of.reserve();
+        self.prolongation.reserve();
+        for level in &mut self.levels {
+            reserve(&mut level.corners);
+            reserve(&mut level.matrix);
+            reserve(&mut level.matrices);
+            reserve(&mut level.parent);
+            reserve(&mut level.octant);
+            reserve(&mut level.bound);
+            level.children.reserve();
+            level.around.reserve();
+            level.prolongation.reserve();
+        }
     }
 
-    /// Builds the hierarchy of a topology after a change, from the earlier one and the nodes whose cells or rest
-    /// positions changed.
-    pub(super) fn after(topology: &Topology, before: Option<(&Self, &[u32])>) -> Self {
+    /// Builds the hierarchy of a topology.
+    pub(super) fn new(topology: &Topology) -> Self {
         let cells = pieces_of(topology);
         let coarse = coarsen(&cells, topology.node_count(), |cell, axis, list| {
-            let next = topology.across(FaceId::new(cell, 2 * axis + 1));
-            if next != NO_CELL {
-                list.push(next);
-            }
+            joined(topology, cell, axis, list);
         });
-        let mut kinds = before.map_or_else(Kinds::default, |b| b.0.kinds.clone());
-        let made = bricks_of(topology, &cells, &coarse, before, &mut kinds);
-        let Sorted {
-            bricks,
-            element_of,
-            brick_of,
-        } = made;
+        let elements = coarse.pieces.len();
+        let members = Table::new(
+            elements,
+            (0..cells.len()).map(|c| (coarse.element_of[c], c as u32)),
+        );
+        let mut kinds = Kinds::default();
+        let (bricks, element_of) = bricks_of(topology, &members, elements, &mut kinds);
         let around = Table::new(
             topology.node_count(),
-            bricks.iter().enumerate().flat_map(|(b, brick)| {
-                (0..LOCALS as u32)
-                    .filter(|i| brick.present >> i & 1 == 1)
-                    .map(move |i| (brick.nodes[i as usize], b as u32 * 32 + i))
-            }),
+            (0..)
+                .zip(&bricks)
+                .flat_map(|(b, brick)| entries_of(b, brick)),
         );
         let mut entries = coarse.entries.clone();
         for (node, entry) in entries.iter_mut().enumerate() {
@@ -143,13 +159,9 @@ impl Hierarchy {
                 *entry = FREE;
             }
         }
-        let corners = Arc::new(corners_of(&coarse));
-        let prolongation = Prolongation::new(entries, corners);
+        let prolongation = Prolongation::new(entries, corners_of(&coarse));
         let followers = |node| Some((prolongation.element_of(node)?, node as u32));
-        let nodes_of = Table::new(
-            coarse.pieces.len(),
-            (0..prolongation.len()).filter_map(followers),
-        );
+        let nodes_of = Table::new(elements, (0..prolongation.len()).filter_map(followers));
         let mut hierarchy = Self {
             shared: shared(&bricks, kinds.forms.len()),
             forms: kinds.forms.clone(),
@@ -165,19 +177,24 @@ impl Hierarchy {
                 .regions
                 .iter()
                 .any(|r| r.material.bottoms_out),
-            kinds,
-            brick_of,
         };
-        hierarchy.add_levels(topology, coarse);
+        hierarchy.add_levels(topology, coarse, &mut kinds);
         hierarchy
     }
 
-    fn add_levels(&mut self, topology: &Topology, first: Coarse) {
-        let mut parts = self.parts_over_bricks(topology, first.pieces.len());
+    fn add_levels(&mut self, topology: &Topology, first: Coarse, kinds: &mut Kinds) {
         let mut children = Table::new(
             first.pieces.len(),
             (0..self.bricks.len()).map(|b| (self.element_of[b], b as u32)),
         );
+        let mut parts: Vec<Parts> = (0..first.pieces.len() as u32)
+            .map(|e| {
+                parts_over_bricks(
+                    topology,
+                    children.row(e).iter().map(|b| &self.bricks[*b as usize]),
+                )
+            })
+            .collect();
         let mut now = first;
         loop {
             let joints = Joints::new(&now.pieces);
@@ -189,81 +206,62 @@ impl Hierarchy {
                 })
             });
             let next = next.filter(|n| n.pieces.len() < now.pieces.len());
-            let matrix = self.matrices(l, &parts);
-            let matrices = self.kinds.levels[l].matrices.clone();
+            let matrix = kinds.matrices(l, &parts, self.per_spacing);
+            let matrices = kinds.levels[l].matrices.clone();
             self.levels
                 .push(level_of(&now, next.as_ref(), matrix, matrices, children));
             let Some(next) = next else { break };
             let level = &self.levels[l];
-            parts = vec![Vec::new(); next.pieces.len()];
-            for (e, &parent) in level.parent.iter().enumerate() {
-                parts[parent as usize].push((level.matrix[e], u32::from(level.octant[e])));
-            }
             children = Table::new(
                 next.pieces.len(),
                 level.parent.iter().enumerate().map(|(e, &p)| (p, e as u32)),
             );
+            parts = (0..next.pieces.len() as u32)
+                .map(|e| parts_over_children(level, children.row(e)))
+                .collect();
             now = next;
         }
     }
+}
 
-    /// Forms and fixed nodes of the bricks of each element of level 1.
-    fn parts_over_bricks(&self, topology: &Topology, elements: usize) -> Vec<Parts> {
-        let mut parts = vec![Vec::new(); elements];
-        for (brick, &element) in self.bricks.iter().zip(&self.element_of) {
-            let fixed = (0..LOCALS)
-                .filter(|&i| topology.is_pinned(brick.nodes[i]))
-                .fold(0, |bits, i| bits | 1 << i);
-            parts[element as usize].push((brick.form, fixed));
-        }
-        parts
+/// Appends the cell joined to a cell through its upper face on an axis.
+pub(super) fn joined(topology: &Topology, cell: u32, axis: usize, list: &mut Vec<u32>) {
+    let next = topology.across(FaceId::new(cell, 2 * axis + 1));
+    if next != NO_CELL {
+        list.push(next);
     }
+}
 
-    /// The matrix of each element of a level; elements with equal parts share one.
-    fn matrices(&mut self, l: usize, parts: &[Parts]) -> Vec<u32> {
-        if self.kinds.levels.len() == l {
-            self.kinds.levels.push(LevelKinds::default());
-        }
-        let LevelKinds { matrices, known } = &mut self.kinds.levels[l];
-        let mut new: Vec<&Parts> = Vec::new();
-        let from = matrices.len();
-        let index = parts
-            .iter()
-            .map(|list| {
-                if let Some(&index) = known.get(list) {
-                    return index;
-                }
-                let index = (from + new.len()) as u32;
-                known.insert(list.clone(), index);
-                new.push(list);
-                index
-            })
-            .collect();
-        let (forms, per_spacing) = (&self.forms, self.per_spacing);
-        let finer = self.levels.last();
-        let made: Vec<Arc<Matrix>> = new
-            .par_iter()
-            .map(|list| {
-                let mut sum = Sum::new();
-                for &(part, how) in *list {
-                    match finer {
-                        None => sum.add_brick(&forms[part as usize], how, per_spacing),
-                        Some(level) => {
-                            sum.add_child(&level.matrices[part as usize], how as usize);
-                        }
-                    }
-                }
-                let alike = list.iter().all(|part| part.0 == list[0].0)
-                    && match finer {
-                        None => forms[list[0].0 as usize].is_regular(per_spacing),
-                        Some(level) => level.matrices[list[0].0 as usize].even,
-                    };
-                Arc::new(sum.finish(alike))
-            })
-            .collect();
-        matrices.extend(made);
-        index
-    }
+/// Nodes of a brick, each with the brick's entry in [`Hierarchy::around`].
+pub(super) fn entries_of(b: u32, brick: &Brick) -> impl Iterator<Item = (u32, u32)> + Clone + '_ {
+    (0..LOCALS as u32)
+        .filter(|i| brick.present >> i & 1 == 1)
+        .map(move |i| (brick.nodes[i as usize], b * 32 + i))
+}
+
+/// Forms and fixed nodes of the bricks of an element of level 1.
+pub(super) fn parts_over_bricks<'a>(
+    topology: &Topology,
+    bricks: impl Iterator<Item = &'a Brick>,
+) -> Parts {
+    let part = |brick: &Brick| {
+        let fixed = (0..LOCALS)
+            .filter(|&i| topology.is_pinned(brick.nodes[i]))
+            .fold(0, |bits, i| bits | 1 << i);
+        (brick.form, fixed)
+    };
+    bricks.map(part).collect()
+}
+
+/// Matrices and octants of the children of an element above level 1.
+pub(super) fn parts_over_children(finer: &Level, children: &[u32]) -> Parts {
+    let part = |&e: &u32| {
+        (
+            finer.matrix[e as usize],
+            u32::from(finer.octant[e as usize]),
+        )
+    };
+    children.iter().map(part).collect()
 }
 
 /// Which forms more than one brick has.
@@ -275,124 +273,77 @@ fn shared(bricks: &[Brick], forms: usize) -> Vec<bool> {
     counts.iter().map(|&count| count > 1).collect()
 }
 
+/// Lattice coordinates of a cell.
+pub(super) fn place_of(topology: &Topology, cell: u32) -> [i32; 3] {
+    let model = topology.model();
+    model.lattice[model.cells[cell as usize].corners[0] as usize]
+}
+
 /// The cells of a topology by their place in the lattice.
 fn pieces_of(topology: &Topology) -> Vec<Piece> {
-    let model = topology.model();
     (0..topology.cell_count() as u32)
         .map(|cell| Piece {
-            at: model.lattice[model.cells[cell as usize].corners[0] as usize],
+            at: place_of(topology, cell),
             corners: topology.corners(cell),
         })
         .collect()
 }
 
-/// A brick, and its form with its key where that is new.
-type Made = (Brick, Option<(Arc<Form>, u128)>);
-
-/// The bricks, sorted by their elements.
-struct Sorted {
-    bricks: Vec<Brick>,
-    element_of: Vec<u32>,
-    brick_of: Vec<u32>,
+/// A brick whose form has no number yet.
+pub(super) struct Made {
+    pub(super) brick: Brick,
+    pub(super) form: Arc<Form>,
+    pub(super) key: u128,
 }
 
-fn bricks_of(
-    topology: &Topology,
-    cells: &[Piece],
-    coarse: &Coarse,
-    before: Option<(&Hierarchy, &[u32])>,
-    kinds: &mut Kinds,
-) -> Sorted {
-    let elements = coarse.pieces.len();
-    let members = Table::new(
-        elements,
-        (0..cells.len()).map(|c| (coarse.element_of[c], c as u32)),
-    );
-    let changed = before.map(|(hierarchy, touched)| Changed::new(topology, hierarchy, touched));
-    let make = |e: usize| -> Vec<Made> {
-        let row = members.row(e as u32);
-        if let Some(old) = changed.as_ref().and_then(|c| c.unchanged(topology, row)) {
-            return old.map(|brick| (brick, None)).collect();
-        }
-        let list: Vec<(usize, u32)> = row
+impl Made {
+    /// The bricks of these cells, which are at one place of level 1.
+    pub(super) fn of(topology: &Topology, cells: &[u32]) -> Vec<Self> {
+        let list: Vec<(usize, u32)> = cells
             .iter()
-            .map(|&c| (octant(cells[c as usize].at), c))
+            .map(|&c| (octant(place_of(topology, c)), c))
             .collect();
         let mut drafts = Vec::new();
         Draft::of(topology, &list, &mut drafts);
         let finish = |draft: &Draft| {
             let (brick, form) = draft.finish(topology);
             let key = form.key();
-            (brick, Some((Arc::new(form), key)))
+            let form = Arc::new(form);
+            Self { brick, form, key }
         };
         drafts.iter().map(finish).collect()
-    };
-    let mut made = Sorted {
-        bricks: Vec::new(),
-        element_of: Vec::new(),
-        brick_of: vec![0; cells.len()],
-    };
+    }
+
+    /// The brick with the number of its form.
+    pub(super) fn numbered(self, kinds: &mut Kinds) -> Brick {
+        Brick {
+            form: kinds.form(self.form, self.key),
+            ..self.brick
+        }
+    }
+}
+
+/// All bricks, in the order of their elements, and the element of each.
+fn bricks_of(
+    topology: &Topology,
+    cells: &Table,
+    elements: usize,
+    kinds: &mut Kinds,
+) -> (Vec<Brick>, Vec<u32>) {
+    let (mut bricks, mut element_of) = (Vec::new(), Vec::new());
     for from in (0..elements).step_by(BATCH) {
         let batch: Vec<_> = (from..elements.min(from + BATCH))
             .into_par_iter()
-            .map(make)
+            .map(|e| Made::of(topology, cells.row(e as u32)))
             .collect();
         for (e, list) in (from..).zip(batch) {
-            for &cell in members.row(e as u32) {
-                made.brick_of[cell as usize] = made.bricks.len() as u32;
-            }
-            for (mut brick, form) in list {
-                if let Some((form, key)) = form {
-                    brick.form = *kinds.form_of.entry(key).or_insert_with(|| {
-                        kinds.forms.push(form);
-                        kinds.forms.len() as u32 - 1
-                    });
-                }
-                made.bricks.push(brick);
-                made.element_of.push(e as u32);
+            for made in list {
+                bricks.push(made.numbered(kinds));
+                element_of.push(e as u32);
             }
         }
     }
-    made
-}
-
-/// The unchanged part of a topology.
-struct Changed<'a> {
-    before: &'a Hierarchy,
-    touched: Vec<bool>,
-}
-
-impl<'a> Changed<'a> {
-    fn new(topology: &Topology, before: &'a Hierarchy, nodes: &[u32]) -> Self {
-        let mut touched = vec![false; topology.node_count()];
-        touched[before.prolongation.len().min(topology.node_count())..].fill(true);
-        for &node in nodes {
-            touched[node as usize] = true;
-        }
-        Self { before, touched }
-    }
-
-    /// The bricks of an element with these cells, if unchanged.
-    fn unchanged(
-        &self,
-        topology: &Topology,
-        cells: &[u32],
-    ) -> Option<impl Iterator<Item = Brick> + 'a> {
-        let first = self.before.brick_of[cells[0] as usize];
-        let element = self.before.element_of[first as usize];
-        let same = |&cell: &u32| {
-            self.before.brick_of[cell as usize] == first
-                && topology
-                    .corners(cell)
-                    .iter()
-                    .all(|&n| !self.touched[n as usize])
-        };
-        let before = self.before;
-        cells.iter().all(same).then(|| {
-            let bricks = before.levels[0].children.row(element);
-            bricks.iter().map(move |&b| before.bricks[b as usize])
-        })
-    }
+    (bricks, element_of)
 }
 
 fn level_of(
@@ -402,58 +353,31 @@ fn level_of(
     matrices: Vec<Arc<Matrix>>,
     children: Table,
 ) -> Level {
-    let mut bound = vec![[0.0f32; 6]; now.points];
-    for (piece, &m) in now.pieces.iter().zip(&matrix) {
-        for (c, &point) in piece.corners.iter().enumerate() {
-            let own = &matrices[m as usize].bound[c];
-            for (sum, v) in bound[point as usize].iter_mut().zip(own) {
-                *sum += v;
-            }
-        }
-    }
     let pairs = now
         .pieces
         .iter()
         .enumerate()
         .flat_map(|(e, piece)| piece.corners.map(|p| (p, e as u32)));
-    Level {
-        corners: Arc::new(corners_of(now)),
+    let mut level = Level {
+        corners: corners_of(now),
         matrix,
         matrices,
         children,
         parent: next.map_or_else(Vec::new, |n| n.element_of.clone()),
         octant: now.pieces.iter().map(|p| octant(p.at) as u8).collect(),
         prolongation: next.map_or_else(
-            || Prolongation::new(Vec::new(), Arc::default()),
-            |next| Prolongation::new(next.entries.clone(), Arc::new(corners_of(next))),
+            || Prolongation::new(Vec::new(), Vec::new()),
+            |next| Prolongation::new(next.entries.clone(), corners_of(next)),
         ),
         around: Table::new(now.points, pairs),
-        bound,
-    }
+        bound: Vec::new(),
+    };
+    level.bound = (0..now.points as u32).map(|p| level.bound_of(p)).collect();
+    level
 }
 
 fn corners_of(coarse: &Coarse) -> Vec<[u32; 8]> {
     coarse.pieces.iter().map(|piece| piece.corners).collect()
-}
-
-impl Form {
-    /// Equal keys mean equal forms.
-    fn key(&self) -> u128 {
-        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
-        let mut take = |values: &[f32]| {
-            for v in values {
-                hasher.update(&v.to_bits().to_le_bytes());
-            }
-        };
-        self.rest.iter().for_each(|axis| take(&axis[..LOCALS]));
-        self.stiffness.iter().for_each(|row| take(row));
-        take(&self.bulk);
-        take(&self.per_volume);
-        take(&[self.curve.stiffening]);
-        take(&self.curve.limits);
-        take(&self.corner);
-        hasher.digest128()
-    }
 }
 
 #[cfg(test)]

@@ -155,7 +155,7 @@ impl Elastic {
     }
 
     /// Factor of a spring in direction `d` by its angle to the fibres.
-    pub(crate) fn along(&self, d: &Vec3) -> f64 {
+    pub(crate) fn fibre_factor(&self, d: &Vec3) -> f64 {
         let square = d.norm_squared();
         if self.fibre_strength == 0.0 || square == 0.0 {
             return 1.0;

@@ -95,8 +95,7 @@ impl Disabled {
 }
 
 impl Solver {
-    /// Switches a mechanism off for an ablation.
-    pub fn disable(&mut self, mechanism: Mechanism) {
+    pub(crate) fn disable(&mut self, mechanism: Mechanism) {
         self.disabled.0 |= 1 << mechanism as u32;
         self.fine.disabled = self.disabled;
         self.contacts.disabled = self.disabled;
@@ -131,7 +130,8 @@ mod tests {
             solver.disable(mechanism);
         }
         if follows {
-            solver.follow(&topology, &[]);
+            let own = std::mem::take(&mut solver.fine.own);
+            solver.restart(&topology, own);
         }
         let step = |k: usize| {
             let depth = (0.4e-3 * k as f64).min(5e-3);

@@ -17,7 +17,8 @@
 //! | `rigid_aggregation` | line search, with rigid groups where tissue is too stiff |
 //! | `mechanism` | mechanisms that an ablation can switch off |
 //! | `prescribed` | nodes with a prescribed displacement |
-//! | `follower`, `state` | update after a cut on another thread |
+//! | `cut_preparer`, `hierarchy_change`, `construction`, `recoarsen`, `follow_cut` | local update after a cut |
+//! | `settling` | first steps after a return to fewer cuts |
 //! | `solver` | one step and its stages |
 //!
 //! A step applies the warm start and gathers contacts. Each iteration then chooses the active set, computes its forces,
@@ -47,20 +48,24 @@ mod budget;
 mod coarse_level;
 mod coarse_stiffening;
 mod coarsen;
+mod construction;
 mod contact_smoother;
 mod contact_stiffness;
 mod corners;
 mod corrections;
+mod cut_preparer;
 mod cycle;
 #[cfg(test)]
 mod deferred_tests;
 mod element;
 mod fibres;
 mod fine_level;
-mod follower;
+mod follow_cut;
 mod hierarchy;
+mod hierarchy_change;
 mod jacobi_blocks;
 mod kernel;
+mod kinds;
 mod lanes;
 mod law;
 mod matrix;
@@ -70,21 +75,22 @@ mod outer_residual;
 mod prescribed;
 mod prolongation;
 mod quad;
+mod recoarsen;
 mod reference_state;
 mod rigid_aggregation;
+mod settling;
 mod small_strain;
 mod solver;
 mod stabilisation;
-mod state;
 mod warm_start;
 mod weight;
 mod work_limit;
 
 pub use budget::{Budget, StepReport};
-pub use follower::{Follower, Successor};
+pub use cut_preparer::{CutPreparer, PreparedCut, Retired};
 pub(crate) use law::Elastic;
 pub(crate) use mechanism::Disabled;
 pub use mechanism::Mechanism;
+pub(crate) use quad::{laid_out, reserve};
 pub use reference_state::Sag;
-pub use solver::Solver;
-pub use state::SolverState;
+pub(crate) use solver::Solver;

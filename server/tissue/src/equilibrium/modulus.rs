@@ -34,7 +34,7 @@ impl Region {
                 let weight = 1.0 / (r * r * r);
                 let dyad = dyad(&(d / r));
                 weights += weight;
-                stiffness += dyad * dyad.transpose() * (weight * elastic.along(&d));
+                stiffness += dyad * dyad.transpose() * (weight * elastic.fibre_factor(&d));
             }
         }
         stiffness *= 6.0 * elastic.spring_pa / weights;

@@ -4,13 +4,17 @@ use super::fine_level::OuterForces;
 use super::solver::Solver;
 use crate::{Shape, Topology, Vec3};
 
-/// Maximum of nodes held at once; [`Solver::hold`] refuses more. 4096 nodes are a surface of 25 cm square at 4 mm.
+/// Maximum of nodes held at once; [`Tissue::hold`](crate::Tissue::hold) rejects more. 4096 nodes are a surface of 25 cm square at 4 mm.
 const HELD_MAX: usize = 4096;
 
 impl Solver {
-    /// Holds a node at a displacement in m. Returns false for a pinned node, a
-    /// displacement that is not finite, or too many held nodes.
-    pub fn hold(&mut self, topology: &Topology, shape: &mut Shape, node: u32, at: Vec3) -> bool {
+    pub(crate) fn hold(
+        &mut self,
+        topology: &Topology,
+        shape: &mut Shape,
+        node: u32,
+        at: Vec3,
+    ) -> bool {
         let n = node as usize;
         if n >= shape.displacement.len() || topology.is_pinned(node) || !at.norm().is_finite() {
             return false;
@@ -28,7 +32,7 @@ impl Solver {
             .entry(node)
             .or_insert(shape.displacement[n]);
         shape.displacement[n] = at;
-        self.disturb(shape, &[node]);
+        self.disturb(shape, [node]);
         true
     }
 }

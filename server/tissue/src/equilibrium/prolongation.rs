@@ -1,11 +1,9 @@
 //! Trilinear interpolation from the corners of a coarse element to the points within it (prolongation); its
 //! transpose takes forces the other way (restriction).
 
-use std::sync::Arc;
-
 use super::brick::LOCALS;
 use super::element::WEIGHTS;
-use super::quad::{Quad, ZERO, plus};
+use super::quad::{Quad, ZERO, plus, reserve};
 
 /// Entry of a point that follows no coarse element.
 pub(crate) const FREE: u32 = u32::MAX;
@@ -54,18 +52,44 @@ impl Stencil {
     }
 }
 
+/// Sets an item. Missing items before it become equal to it, until they are set.
+pub(crate) fn set<T: Copy>(items: &mut Vec<T>, at: u32, item: T) {
+    let at = at as usize;
+    if items.len() <= at {
+        items.resize(at + 1, item);
+    }
+    items[at] = item;
+}
+
 /// The prolongation operator of one level. It stores element and place of each point (4 bytes) instead of rows of
 /// indices and weights (68 bytes), which exceed the cache.
+#[derive(Clone)]
 pub(crate) struct Prolongation {
     /// Coarse element and place, as `element * 32 + place`, or [`FREE`].
     entries: Vec<u32>,
     /// Points at the corners of the coarse elements.
-    corners: Arc<Vec<[u32; 8]>>,
+    corners: Vec<[u32; 8]>,
 }
 
 impl Prolongation {
-    pub(crate) fn new(entries: Vec<u32>, corners: Arc<Vec<[u32; 8]>>) -> Self {
+    pub(crate) fn new(entries: Vec<u32>, corners: Vec<[u32; 8]>) -> Self {
         Self { entries, corners }
+    }
+
+    /// Sets the entry of a point, which may be new.
+    pub(crate) fn set_entry(&mut self, point: u32, entry: u32) {
+        set(&mut self.entries, point, entry);
+    }
+
+    /// Sets the corners of a coarse element, which may be new.
+    pub(crate) fn set_corners(&mut self, element: u32, corners: [u32; 8]) {
+        set(&mut self.corners, element, corners);
+    }
+
+    /// Makes room for the points and elements that cuts will add.
+    pub(crate) fn reserve(&mut self) {
+        reserve(&mut self.entries);
+        reserve(&mut self.corners);
     }
 
     /// Number of points of the finer level.

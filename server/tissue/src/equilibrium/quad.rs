@@ -18,10 +18,22 @@ pub(crate) fn plus(a: &Quad, w: f32, b: &Quad) -> Quad {
     ]
 }
 
+/// Further items that vectors have room for, as a fraction of their length: the nodes and elements that cuts add. A vector
+/// that grows beyond is copied, which takes milliseconds on the hand's thread.
+const ROOM: usize = 4;
+
+/// Makes room for the items that cuts will add.
+pub(crate) fn reserve<T>(values: &mut Vec<T>) {
+    let room = values.len() / ROOM;
+    if values.capacity() - values.len() < room {
+        values.reserve_exact(room);
+    }
+}
+
 /// A vector of `len` copies in committed memory. `vec!` of zeros commits pages at the first write, which made the first
 /// touch of a tool a third slower.
-pub(super) fn laid_out<T: Clone>(value: T, len: usize) -> Vec<T> {
-    let mut values = Vec::with_capacity(len);
+pub(crate) fn laid_out<T: Clone>(value: T, len: usize) -> Vec<T> {
+    let mut values = Vec::with_capacity(len + len / ROOM);
     values.resize(len, value);
     values
 }

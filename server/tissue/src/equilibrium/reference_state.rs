@@ -47,15 +47,15 @@ impl ReferenceState {
     /// The reference state of a topology, solved from the one of an earlier topology; `None` without weight.
     pub(super) fn of(
         topology: &Topology,
-        hierarchy: &Arc<Hierarchy>,
-        own: &[f64],
+        hierarchy: &Hierarchy,
+        own: Vec<f64>,
         earlier: Option<&Self>,
     ) -> Option<Arc<Self>> {
         if topology.model().gravity == [0.0; 3] {
             return None;
         }
-        let fine = FineLevel::new(topology, hierarchy, own.to_vec());
-        let mut solver = Solver::with(topology, Arc::clone(hierarchy), fine, None);
+        let fine = FineLevel::new(topology, hierarchy, own);
+        let mut solver = Solver::with(topology, hierarchy.clone(), fine, None);
         let mut shape = Shape::rest(topology);
         if let Some(earlier) = earlier {
             for (node, u) in (0..).zip(&mut shape.displacement) {
@@ -86,13 +86,11 @@ impl ReferenceState {
 }
 
 impl Solver {
-    /// Displacement of the tissue by its own weight; `None` without gravity.
-    pub fn sag(&self) -> Option<Sag> {
+    pub(crate) fn sag(&self) -> Option<Sag> {
         self.reference_state.as_ref().map(|h| h.sag)
     }
 
-    /// Displacement in m of a node by gravity alone.
-    pub fn sag_of(&self, node: u32) -> Vec3 {
+    pub(crate) fn sag_of(&self, node: u32) -> Vec3 {
         let known = self
             .reference_state
             .as_ref()

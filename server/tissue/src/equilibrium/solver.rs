@@ -3,17 +3,17 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
 use super::active_set::Criteria;
 use super::budget::{Budget, StepReport, relative};
 use super::coarse_level::prolongate_changes;
 use super::coarse_stiffening::PRESCRIBED_STIFFNESS;
 use super::contact_smoother::ContactSmoother;
+use super::cut_preparer::all_own_stiffness;
 use super::cycle::{Chebyshev, Effort, Multigrid};
-use super::fine_level::{FineLevel, SetChange, own_stiffness};
+use super::fine_level::{FineLevel, SetChange};
 use super::hierarchy::Hierarchy;
 use super::mechanism::{Disabled, Mechanism};
+use super::quad::reserve;
 use super::reference_state::ReferenceState;
 use super::work_limit::WorkLimit;
 use crate::contact::{Contacts, Tool};
@@ -74,8 +74,8 @@ pub(super) const REFINED_EVERY: u32 = 2;
 const UNSEEN_M: f64 = 10e-6;
 
 /// The solver of one shape of one topology, with its scratch memory.
-pub struct Solver {
-    pub(super) hierarchy: Arc<Hierarchy>,
+pub(crate) struct Solver {
+    pub(super) hierarchy: Hierarchy,
     pub(super) fine: FineLevel,
     pub(super) coarse: Multigrid,
     pub(super) contacts: Contacts,
@@ -89,7 +89,7 @@ pub struct Solver {
     pub(super) has_started: bool,
     /// Force in N that moves a typical node by a spacing; see [`LEAST`].
     pub(super) least: f64,
-    pub(super) report: StepReport,
+    pub(crate) report: StepReport,
     pub(super) dirty: bool,
     /// Previous positions of the nodes that were held or moved since the last step.
     pub(super) prescribed_from: BTreeMap<u32, Vec3>,
@@ -107,43 +107,63 @@ pub struct Solver {
 impl Solver {
     /// Creates a solver for shapes of this topology. With gravity it first solves the reference state, at the cost of a
     /// full solve; an undeformed shape starts there.
-    pub fn new(topology: &Topology) -> Self {
-        let hierarchy = Arc::new(Hierarchy::new(topology));
-        let all = (0..topology.node_count() as u32).into_par_iter();
-        let own: Vec<f64> = all.map(|n| own_stiffness(topology, n)).collect();
-        let reference_state = ReferenceState::of(topology, &hierarchy, &own, None);
+    pub(crate) fn new(topology: &Topology) -> Self {
+        let hierarchy = Hierarchy::new(topology);
+        let own = all_own_stiffness(topology);
+        let reference_state = ReferenceState::of(topology, &hierarchy, own.clone(), None);
         let fine = FineLevel::new(topology, &hierarchy, own);
         Self::with(topology, hierarchy, fine, reference_state)
     }
 
-    /// Creates another solver of the same topology. Immutable data are shared.
+    /// Creates another solver of the same topology.
     #[must_use]
-    pub fn another(&self, topology: &Topology) -> Self {
-        let hierarchy = Arc::clone(&self.hierarchy);
+    pub(crate) fn another(&self, topology: &Topology) -> Self {
+        let hierarchy = self.hierarchy.clone();
         let fine = FineLevel::new(topology, &hierarchy, self.fine.own.clone());
         Self::with(topology, hierarchy, fine, self.reference_state.clone())
     }
 
     pub(super) fn with(
         topology: &Topology,
-        hierarchy: Arc<Hierarchy>,
-        fine: FineLevel,
+        mut hierarchy: Hierarchy,
+        mut fine: FineLevel,
         reference_state: Option<Arc<ReferenceState>>,
     ) -> Self {
-        let coarse = Multigrid::new(&hierarchy);
-        let contacts = Contacts::new(topology);
-        Self::assemble(
-            topology,
+        hierarchy.reserve();
+        reserve(&mut fine.own);
+        reserve(&mut fine.fixed);
+        let mut own: Vec<f64> = fine.own.iter().copied().filter(|&k| k > 0.0).collect();
+        let middle = own.len() / 2;
+        let typical = match own.get(middle) {
+            Some(_) => *own.select_nth_unstable_by(middle, f64::total_cmp).1,
+            None => 0.0,
+        };
+        Self {
+            least: typical * topology.model().spacing_m,
+            contact_smoother: ContactSmoother::new(&hierarchy),
+            coarse: Multigrid::new(&hierarchy),
+            fine,
             hierarchy,
-            (fine, coarse),
-            contacts,
+            contacts: Contacts::new(topology),
+            held: Vec::new(),
+            work_limit: WorkLimit::NONE,
+            reference: 0.0,
             reference_state,
-        )
+            has_started: false,
+            report: StepReport::default(),
+            dirty: false,
+            prescribed_from: BTreeMap::new(),
+            prescribed_displacements: Vec::new(),
+            last_forces: Vec::new(),
+            settling: None,
+            quick_steps: 0,
+            disabled: Disabled::default(),
+        }
     }
 
     /// Prolongates the accumulated displacements of the coarse levels to every node. Steps with [`Budget::near`] skip
     /// the nodes far from the tools.
-    pub fn prolongate_all(&mut self, shape: &mut Shape) {
+    pub(crate) fn prolongate_all(&mut self, shape: &mut Shape) {
         self.prolongate_changes(shape, 0.0);
     }
 
@@ -161,8 +181,8 @@ impl Solver {
     }
 
     /// Marks these nodes as changed from outside the solver.
-    pub fn disturb(&mut self, shape: &Shape, nodes: &[u32]) {
-        for &node in nodes {
+    pub(crate) fn disturb(&mut self, shape: &Shape, nodes: impl IntoIterator<Item = u32>) {
+        for node in nodes {
             let Some(u) = shape.displacement.get(node as usize) else {
                 continue;
             };
@@ -173,19 +193,12 @@ impl Solver {
         self.dirty = true;
     }
 
-    /// Force of the springs on a node plus its weight in N (on a held or pinned node: the reaction).
-    pub fn force_on(&self, shape: &Shape, node: u32) -> Vec3 {
+    pub(crate) fn force_on(&self, shape: &Shape, node: u32) -> Vec3 {
         self.fine
             .force_on(&self.hierarchy, &shape.displacement, node)
     }
 
-    /// The report of the latest step.
-    pub fn report(&self) -> &StepReport {
-        &self.report
-    }
-
-    /// The relative residual over all nodes, active or not. It evaluates the whole model; meant for checks.
-    pub fn residual_over_all(&mut self, shape: &Shape) -> f64 {
+    pub(crate) fn residual_over_all(&mut self, shape: &Shape) -> f64 {
         let u = &shape.displacement;
         let sum = self
             .fine
@@ -193,27 +206,18 @@ impl Solver {
         relative(sum, self.reference)
     }
 
-    /// Moves a tool of the last step that touches nothing, without a solver step. Returns false, and leaves the tool in
-    /// place, if the tool is unknown or touches the tissue at its new position.
-    pub fn move_free(&mut self, topology: &Topology, shape: &Shape, tool: &Tool) -> bool {
+    pub(crate) fn move_free(&mut self, topology: &Topology, shape: &Shape, tool: &Tool) -> bool {
         let (u, displaced) = (&shape.displacement, self.fine.displaced);
-        u.len() == topology.node_count() && self.contacts.move_free(topology, u, displaced, tool)
+        self.contacts.move_free(topology, u, displaced, tool)
     }
 
-    /// Moves the shape towards equilibrium under the tools.
-    pub fn step(
+    pub(crate) fn step(
         &mut self,
         topology: &Topology,
         shape: &mut Shape,
         tools: &[Tool],
         mut budget: Budget<'_>,
     ) -> &StepReport {
-        if topology.node_count() != self.fine.fixed.len() {
-            self.follow(topology, &[]);
-        }
-        shape
-            .displacement
-            .resize(topology.node_count(), Vec3::zeros());
         self.start_at_reference_state(shape);
         let changed = self.contacts.begin(tools) || self.dirty;
         let changed = self.restore_reference_state(topology, shape) || changed;

@@ -20,6 +20,7 @@
 mod container;
 mod model_check;
 mod planes;
+mod staged;
 
 use std::io::Write;
 use std::path::Path;
@@ -28,9 +29,9 @@ pub(crate) use container::{open, seal};
 pub use model_check::{CELLS_MAX, NODES_MAX, POSITION_MAX_M, REGIONS_MAX};
 use planes::Short;
 pub(crate) use planes::{Content, Reader};
+pub use staged::{Staged, WriteError, write_file};
 
 use crate::cell::{FACES, NO_CELL};
-use crate::staged::{Staged, WriteError};
 use crate::{Cell, FibreAxis, Material, Model, Region, RegionId, Vec3};
 
 const MAGIC: [u8; 8] = *b"palpmodl";

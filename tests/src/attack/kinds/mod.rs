@@ -1,10 +1,12 @@
 //! The attacks. To add one: write `async fn name(target: Arc<Target>)`, which runs until it is dropped, counts what
 //! it achieves with `Target::count`, and sleeps between its steps; then add a row to [`ALL`].
 
+mod bad_pages;
 mod connections;
 mod half_open;
 mod joins;
 mod names;
+mod pages;
 mod reports;
 mod requests;
 mod spectators;
@@ -13,6 +15,7 @@ mod tool_motion;
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::pin::Pin;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -20,10 +23,9 @@ use palpate_protocol::JoinLink;
 use tokio::task::JoinSet;
 
 use super::raw_client::JoinError;
+use crate::headless_page::PageAddress;
 use crate::name_suggestion::did_you_mean;
 use crate::tool_location::SurfacePoint;
-
-pub(super) use names::ACCEPTED_FALSE_NAMES;
 
 /// Pause before an attacker tries again after a refusal or the end of its connection.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -39,7 +41,20 @@ pub struct Attack {
     pub about: &'static str,
     /// Whether attackers keep all seats of spectators.
     pub(super) takes_seats: bool,
+    /// The pages that it needs; most attacks need none.
+    pub(super) pages: Option<Pages>,
+    /// Counts of events that must not happen.
+    pub(super) forbidden: &'static [&'static str],
     run: fn(Arc<Target>) -> Running,
+}
+
+/// A session with a page.
+#[derive(Clone, Copy)]
+pub(super) struct Pages {
+    /// Number of seats, and of those among them that spectators may take.
+    pub(super) seats: [u16; 2],
+    /// Time from the begin of the attack to the joins of the honest trainees.
+    pub(super) lead: Duration,
 }
 
 /// All attacks in the order in which they run.
@@ -48,97 +63,151 @@ pub const ALL: &[Attack] = &[
         name: "transfers",
         about: "16 connections to the model transfer send one byte each and wait",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(connections::transfers(t, 16)),
     },
     Attack {
         name: "transfers-150",
         about: "150 connections to the model transfer send one byte each and wait",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(connections::transfers(t, 150)),
     },
     Attack {
         name: "handshakes",
         about: "100 half-open handshakes per second from one address",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(connections::handshakes(t)),
     },
     Attack {
         name: "cut",
         about: "a trainee requests 12 cuts of 22 points in a zigzag, where its tool never was",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(requests::cuts(t)),
     },
     Attack {
         name: "tools",
         about: "8 trainees drop and resume with another tool, to fill the operation log",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(joins::tools(t)),
     },
     Attack {
         name: "delay",
         about: "a spectator reports a delay requirement of 399 ms every 100 ms",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(reports::spectator(t)),
     },
     Attack {
         name: "delay-trainee",
         about: "a trainee reports a delay requirement of 399 ms every 100 ms",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(reports::trainee(t)),
     },
     Attack {
         name: "seats",
         about: "spectators join and drop 16 times in 2.5 s, again and again",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(joins::seats(t)),
     },
     Attack {
         name: "slow-reader",
         about: "a spectator never reads its stream and sends 200 requests per second",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(requests::slow_reader(t)),
     },
     Attack {
         name: "names",
         about: "spectators join under names that look like that of another participant",
         takes_seats: false,
+        pages: None,
+        forbidden: &[names::ACCEPTED],
         run: |t| Box::pin(names::names(t)),
     },
     Attack {
         name: "spectators",
         about: "100 attackers with spectator links join, drop, report, probe and never read",
         takes_seats: true,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(spectators::spectators(t)),
     },
     Attack {
         name: "poses",
         about: "a trainee's tool jumps between two places in the tissue, 250 times per second",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(tool_motion::jumps(t)),
     },
     Attack {
         name: "future",
         about: "a trainee stamps its samples 0.4 s ahead and 0.4 s late in turn, and claims lateness",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(tool_motion::wrong_times(t)),
     },
     Attack {
         name: "big-tools",
         about: "four trainees swing the largest plates close over the tissue, ten times per second",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(tool_motion::big_tools(t)),
     },
     Attack {
         name: "flapping",
         about: "four trainees resume their seats over a new connection ten times per second",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(joins::flapping(t)),
     },
     Attack {
         name: "flood",
         about: "four spectators send as many datagrams as the transport allows",
         takes_seats: false,
+        pages: None,
+        forbidden: &[],
         run: |t| Box::pin(spectators::flood(t)),
+    },
+    Attack {
+        name: "pages",
+        about: "50 pages of spectators read everything, ping twice a second and check every shape",
+        takes_seats: false,
+        pages: Some(Pages {
+            seats: [64, 60],
+            lead: pages::JOINED_WITHIN,
+        }),
+        forbidden: pages::FORBIDDEN,
+        run: |t| Box::pin(pages::pages(t)),
+    },
+    Attack {
+        name: "bad-pages",
+        about: "pages flood, send 10 MB, NaN poses and markup, never read and reconnect, beside an honest page",
+        takes_seats: false,
+        pages: Some(Pages {
+            seats: [64, 60],
+            lead: Duration::ZERO,
+        }),
+        forbidden: bad_pages::FORBIDDEN,
+        run: |t| Box::pin(bad_pages::bad_pages(t)),
     },
 ];
 
@@ -181,16 +250,27 @@ pub(super) struct Target {
     pub(super) spectator: JoinLink,
     /// Points on the surface of the tissue; at least one.
     pub(super) spots: Vec<SurfacePoint>,
+    /// Addresses of the page by role; none in a session without pages.
+    pages: BTreeMap<String, PageAddress>,
     counts: Mutex<Counts>,
+    /// Names given so far.
+    names: AtomicU64,
 }
 
 impl Target {
-    pub(super) fn new(trainee: JoinLink, spectator: JoinLink, spots: Vec<SurfacePoint>) -> Self {
+    pub(super) fn new(
+        trainee: JoinLink,
+        spectator: JoinLink,
+        spots: Vec<SurfacePoint>,
+        pages: BTreeMap<String, PageAddress>,
+    ) -> Self {
         Self {
             trainee,
             spectator,
             spots,
+            pages,
             counts: Mutex::default(),
+            names: AtomicU64::new(0),
         }
     }
 
@@ -203,6 +283,23 @@ impl Target {
         // A panicked task leaves complete counts behind.
         let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
         *counts.entry(what).or_default() += n;
+    }
+
+    /// A number for a name, once.
+    fn number(&self) -> u64 {
+        self.names.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// Keeps the largest of all values as the count.
+    fn largest(&self, what: &'static str, n: u64) {
+        let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = counts.entry(what).or_default();
+        *count = n.max(*count);
+    }
+
+    /// The address of the page for a role.
+    fn page(&self, role: &str) -> Option<PageAddress> {
+        self.pages.get(role).cloned()
     }
 
     /// Counts the result of an attempt to join.

@@ -30,7 +30,7 @@ const FALSE_NAMES: [&str; 7] = [
 const NAME_EVERY: Duration = Duration::from_millis(200);
 
 /// The count of false names that the server accepted.
-pub(in crate::attack) const ACCEPTED_FALSE_NAMES: &str = "false names accepted";
+pub(super) const ACCEPTED: &str = "false names accepted";
 
 /// A participant and its imitators, each of which tries once.
 pub(super) async fn names(target: Arc<Target>) {
@@ -44,7 +44,7 @@ pub(super) async fn names(target: Arc<Target>) {
     for name in FALSE_NAMES {
         let joined = RawClient::join(link, hello(link, name.to_owned(), None)).await;
         target.count(match &joined {
-            Ok(_) => ACCEPTED_FALSE_NAMES,
+            Ok(_) => ACCEPTED,
             Err(_) => "false names refused",
         });
         if let Ok(client) = joined {

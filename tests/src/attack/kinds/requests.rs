@@ -57,10 +57,7 @@ fn zigzag(spot: &SurfacePoint, end: ServerTime) -> CutRequest {
             },
         }
     };
-    CutRequest {
-        points: (0..STROKE_POINTS).map(point).collect(),
-        width_m: 0.0005,
-    }
+    CutRequest::whole((0..STROKE_POINTS).map(point).collect(), 0.0005)
 }
 
 /// A trainee that cuts where its tool never was.

@@ -45,6 +45,8 @@ pub(super) fn sessions(
             seed: bench.seed().wrapping_mul(1_000_003).wrapping_add(k),
             compensation: "adaptive",
             start_when: 2,
+            view: None,
+            seats: None,
         };
         let record = session(&hosting, &files, bench).map_err(|e| e.to_string())?;
         tally = tally.join(compared(record, k)?);

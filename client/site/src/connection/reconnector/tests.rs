@@ -84,10 +84,7 @@ fn lost() -> Reconnector {
 }
 
 fn cut() -> RequestKind {
-    RequestKind::Cut(CutRequest {
-        points: Vec::new(),
-        width_m: 0.0,
-    })
+    RequestKind::Cut(CutRequest::whole(Vec::new(), 0.0))
 }
 
 /// The operation of a cut by this participant.
@@ -100,6 +97,8 @@ fn own_cut(id: u64) -> Operation {
         topology_version_after: 1,
         hash_after: TopologyHash(0),
         kind: OperationKind::Cut(CutStroke {
+            began: ServerTime::ZERO,
+            joins: false,
             points: Vec::new(),
             width_m: 0.0,
         }),

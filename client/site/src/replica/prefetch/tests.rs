@@ -14,9 +14,9 @@ use palpate_protocol::{
     ClientTime, Epoch, ModelHash, ModelInfo, OperationId, ParticipantId, ResumeToken, Role,
     ServerTime, Span, TopologyHash,
 };
-use palpate_tissue::{Budget, Model, Shape, Solver, Topology, Vec3, cut};
+use palpate_tissue::{Budget, Model, Tissue, Tool, Topology, Vec3, cut};
 
-use super::super::View;
+use super::super::{HAPTIC_TOLERANCE, View};
 use super::*;
 use crate::Site;
 use crate::test_support::soft_block;
@@ -41,10 +41,12 @@ fn cuts(model: &Arc<Model>) -> Vec<Operation> {
             depth_m: 0.03,
         };
         let stroke = CutStroke {
+            began: ServerTime::ZERO,
+            joins: false,
             points: (0..9).map(point).collect(),
             width_m: 0.0,
         };
-        cut(topology, &tissue_stroke(&stroke)).unwrap();
+        cut(topology, &tissue_stroke(ParticipantId(2), &stroke).path).unwrap();
         Operation {
             id: OperationId(id),
             at: ServerTime::ZERO,
@@ -157,8 +159,8 @@ impl Bench {
                 self.view.take(*cut);
             }
         }
-        let side = self.site.replica().haptic.as_ref().unwrap();
-        (model, side.solver.report().visits[0])
+        let tissue = self.site.replica().haptic.tissue().unwrap();
+        (model, tissue.report().visits[0])
     }
 
     fn version(&self) -> u32 {
@@ -176,17 +178,20 @@ fn at(now: ClientTime) -> Vec3 {
 
 /// The converged force on a tool that followed the hand's path, on the topology after these cuts.
 fn converged(model: &Arc<Model>, cuts: &[Operation], now: ClientTime) -> Vec3 {
-    let mut topology = Arc::new(Topology::new(Arc::clone(model)));
+    let mut tissue = Tissue::new(Arc::clone(model));
     for operation in cuts {
-        cut_checked(&mut topology, operation).unwrap();
+        let OperationKind::Cut(stroke) = &operation.kind else {
+            unreachable!("only cuts");
+        };
+        tissue
+            .cut(&tissue_stroke(ParticipantId(2), stroke).path)
+            .unwrap();
     }
-    let mut solver = Solver::new(&topology);
-    let mut shape = Shape::rest(&topology);
     let mut force = Vec3::zeros();
     for ms in (0..=now.as_micros() / 1000).step_by(10) {
         let centre = at(ClientTime::from_micros(ms * 1000).min(now));
         let tool = Tool::ball(1, centre, RADIUS_M);
-        let report = solver.step(&topology, &mut shape, &[tool], Budget::new(60, 1e-5));
+        let report = tissue.step(&[tool], Budget::new(60, 1e-5));
         force = report.reactions[0].force;
     }
     force

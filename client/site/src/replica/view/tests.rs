@@ -9,7 +9,7 @@ const CELL: f64 = 4e-3;
 
 fn view() -> View {
     let model = soft_block([10, 10, 6]);
-    View::new(&Arc::new(Topology::new(model)))
+    View::new(Tissue::new(model))
 }
 
 fn tool(who: u16, x: f64, depth: f64) -> ToolAt {
@@ -40,9 +40,8 @@ fn corrections_shrink_and_report_a_difference() {
     client.step(at(0), &tools, thorough());
     // A difference that no contact explains.
     let planted: Vec<u32> = (300..310).collect();
-    for &n in &planted {
-        client.side.shape.displacement[n as usize] += Vec3::new(1e-3, 0.0, 0.0);
-    }
+    let by = planted.iter().map(|&n| (n, Vec3::x() * 1e-3));
+    client.tissue.displace(&by.collect::<Vec<_>>());
     client.was_corrected = true;
     let away = |client: &View, n: u32| {
         let [a, b] = [&server, client].map(|r| r.shape().displacement[n as usize]);

@@ -72,9 +72,9 @@ impl Port for Failing {
     fn is_homed(&self) -> bool {
         self.rig.is_homed()
     }
-    fn home(&mut self, counts: Six) -> Result<(), PortFault> {
+    fn set_counts(&mut self, counts: Six) -> Result<(), PortFault> {
         self.check()?;
-        self.rig.home(counts)
+        self.rig.set_counts(counts)
     }
     fn close(&mut self) {
         self.rig.close();
@@ -87,7 +87,7 @@ fn resting() -> FiveDof<Rig> {
 }
 
 /// Ticks at 1 kHz from `from` ms on; the last sample.
-fn hold(device: &mut impl HapticDevice, from: i64, ticks: i64, wrench: Wrench) -> Sample {
+fn apply_wrench(device: &mut impl HapticDevice, from: i64, ticks: i64, wrench: Wrench) -> Sample {
     let mut last = None;
     for i in from..from + ticks {
         last = Some(device.read(at(i * 1000)).unwrap());
@@ -120,7 +120,7 @@ fn a_force_deflects_the_hands_spring_as_expected() {
         force[axis] = 2.0;
         let wrench = Wrench::from_force(force);
         let from = 4000 * axis as i64;
-        let sample = hold(&mut device, from, 4000, wrench);
+        let sample = apply_wrench(&mut device, from, 4000, wrench);
         // With codes of 12 bits and quantised counts: 2 N against 400 N/m.
         let wrong = sample.pose.position - middle() - force / 400.0;
         assert!(wrong.norm() < 3e-4, "{wrong:?} m off along axis {axis}");
@@ -136,9 +136,9 @@ fn a_torque_turns_the_probe_except_about_its_axis() {
         torque,
     };
     let about_itself = torque(Vector3::y() * 0.08);
-    let sample = hold(&mut device, 0, 2000, about_itself);
+    let sample = apply_wrench(&mut device, 0, 2000, about_itself);
     assert!(sample.pose.orientation.angle() < 5e-3);
-    let sample = hold(&mut device, 2000, 3000, torque(Vector3::x() * 0.08));
+    let sample = apply_wrench(&mut device, 2000, 3000, torque(Vector3::x() * 0.08));
     // The grip is a spring of 0.5 N·m by the sine of the angle.
     let turn = sample.pose.orientation.scaled_axis();
     let expected = Vector3::x() * (0.08_f64 / 0.5).asin();
@@ -219,7 +219,7 @@ impl Port for Skipping {
     fn is_homed(&self) -> bool {
         true
     }
-    fn home(&mut self, _counts: Six) -> Result<(), PortFault> {
+    fn set_counts(&mut self, _counts: Six) -> Result<(), PortFault> {
         Ok(())
     }
     fn close(&mut self) {}
@@ -236,7 +236,7 @@ fn a_pulled_cable_stops_the_motors_and_is_reported() {
     let mut device = FiveDof::open(boards, invented()).unwrap();
     device.enable_forces(true).unwrap();
     let push = Wrench::from_force(Vector3::x());
-    hold(&mut device, 0, 500, push);
+    apply_wrench(&mut device, 0, 500, push);
     set(Some(PortFault::Gone));
     assert_eq!(
         device.write(at(500_000), push),

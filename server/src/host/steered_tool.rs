@@ -1,0 +1,123 @@
+//! The tool of a page: it follows the pointer of the page smoothly, on the server's clock.
+//!
+//! A browser sends poses unevenly: it draws in the same thread, and its samples wait behind pictures. Samples of the page
+//! would therefore raise the playout delay of all participants, and a gap of 50 ms would make the tool let go. The
+//! server instead moves the tool itself, to the newest pose that the page sent.
+
+use nalgebra::{Quaternion, UnitQuaternion};
+use palpate_device::Pose as DevicePose;
+use palpate_device::backend::pointer::Follower;
+use palpate_protocol::{Pose, ServerTime, Span, ToolSample};
+
+/// Time between two samples of a tool.
+pub(super) const SAMPLE_PERIOD: Span = Span::from_millis(8);
+
+/// A page that sends no pose for this long has let go of its tool. Pages send 30 per second at rest.
+const SILENCE_MAX: Span = Span::from_millis(1500);
+
+/// Limits of the tool, as of the device `pointer`.
+const SPEED_M_PER_S: f64 = 0.4;
+const TURN_RAD_PER_S: f64 = 4.0;
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct SteeredTool {
+    follower: Follower,
+    goal: DevicePose,
+    buttons: u8,
+    /// The newest pose of the page.
+    heard: ServerTime,
+    sampled: ServerTime,
+}
+
+impl SteeredTool {
+    /// A tool at the first pose that the page sent.
+    pub(super) fn new(pose: &Pose, now: ServerTime) -> Self {
+        let start = device_pose(pose);
+        Self {
+            follower: Follower::new(start, SPEED_M_PER_S, TURN_RAD_PER_S),
+            goal: start,
+            buttons: 0,
+            heard: now,
+            sampled: now,
+        }
+    }
+
+    /// Moves the tool to a pose.
+    pub(super) fn steer(&mut self, pose: &Pose, buttons: u8, now: ServerTime) {
+        (self.goal, self.buttons, self.heard) = (device_pose(pose), buttons, now);
+    }
+
+    /// Whether the page still sends poses.
+    pub(super) fn is_held(&self, now: ServerTime) -> bool {
+        now - self.heard <= SILENCE_MAX
+    }
+
+    /// The sample of now, if it is due.
+    pub(super) fn poll(&mut self, now: ServerTime) -> Option<ToolSample> {
+        let passed = now - self.sampled;
+        if passed < SAMPLE_PERIOD {
+            return None;
+        }
+        self.sampled = now;
+        // A server that was held up continues from there.
+        let step_s = passed.min(SAMPLE_PERIOD + SAMPLE_PERIOD).as_secs_f64();
+        self.follower.step(&self.goal, step_s);
+        let DevicePose {
+            position,
+            orientation,
+        } = *self.follower.pose();
+        Some(ToolSample {
+            time: now,
+            pose: Pose {
+                position_m: position.into(),
+                orientation: orientation.coords.into(),
+            },
+            buttons: self.buttons,
+            force_n: None,
+        })
+    }
+}
+
+fn device_pose(pose: &Pose) -> DevicePose {
+    let [x, y, z, w] = pose.orientation;
+    DevicePose {
+        position: pose.position_m.into(),
+        orientation: UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x: f64) -> Pose {
+        Pose {
+            position_m: [x, 0.0, 0.0],
+            ..Pose::IDENTITY
+        }
+    }
+
+    #[test]
+    fn uneven_poses_become_even_samples_within_the_speed_limit() {
+        let ms = |ms: i64| ServerTime::from_micros(1000 * ms);
+        let mut tool = SteeredTool::new(&at(0.0), ms(0));
+        let mut last = 0.0;
+        let mut samples = 0;
+        for t in 1..=1000 {
+            // Poses come in heaps, with gaps of 90 ms.
+            if t % 100 < 10 {
+                tool.steer(&at(2e-4 * f64::from(t as i32)), 1, ms(t));
+            }
+            if let Some(sample) = tool.poll(ms(t)) {
+                let x = sample.pose.position_m[0];
+                assert!(x >= last && x - last <= SPEED_M_PER_S * 0.008 + 1e-9);
+                assert_eq!(sample.time, ms(t));
+                (last, samples) = (x, samples + 1);
+            }
+        }
+        assert_eq!(samples, 125);
+        assert!(last > 0.15, "{last}");
+        assert!(tool.is_held(ms(2000)) && !tool.is_held(ms(3000)));
+    }
+}

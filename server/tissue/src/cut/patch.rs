@@ -1,0 +1,200 @@
+//! The nodes and cells around a sheet, in a numbering of their own.
+//!
+//! Nodes of the sheet come first, then the other nodes within three rings of it, then the other corners of their
+//! cells. Those, pinned nodes and nodes of earlier cuts stay where they are.
+
+use std::collections::HashMap;
+
+use super::freedom::{Freedom, freedom};
+use super::soundness::{CORNER_FLOOR, SPRING_FLOOR, Soundness};
+use crate::cell::NO_CELL;
+use crate::{FaceId, Topology, Vec3};
+
+/// Rings of neighbours around the sheet that make room for it.
+const RINGS: usize = 3;
+/// Halvings of the way of a node before it stays.
+const HALVINGS: u8 = 6;
+
+pub(crate) struct Patch {
+    /// Number of each node in the topology.
+    pub(crate) ids: Vec<u32>,
+    /// Where each node stood before the cut.
+    pub(crate) start: Vec<Vec3>,
+    /// Where it is now.
+    pub(crate) at: Vec<Vec3>,
+    /// Nodes of the sheet; they come first.
+    pub(crate) sheet: usize,
+    /// Nodes that may move; they come before the others.
+    pub(crate) movable: usize,
+    /// The directions left to each of these.
+    pub(crate) holds: Vec<Freedom>,
+    /// Number of each cell in the topology.
+    pub(crate) cell_ids: Vec<u32>,
+    /// Corners of each cell.
+    pub(crate) cells: Vec<[u32; 8]>,
+    /// Cells around each movable node, [`NO_CELL`] where there is none.
+    pub(crate) around: Vec<[u32; 8]>,
+    /// Least corner volume and spring length of each cell: the floors, or those before the cut where they are less.
+    pub(crate) floors: Vec<Soundness>,
+    pub(crate) spacing: f64,
+}
+
+impl Patch {
+    /// The patch around the nodes of a sheet.
+    pub(crate) fn around(topology: &Topology, sheet: &[u32]) -> Self {
+        let mut ids: Vec<u32> = sheet.to_vec();
+        let mut places: HashMap<u32, u32> = (0..).zip(sheet).map(|(i, &n)| (n, i)).collect();
+        let mut holds: Vec<Freedom> = sheet.iter().map(|&n| freedom(topology, n)).collect();
+        let mut front = ids.clone();
+        for _ in 0..RINGS {
+            let mut next = Vec::new();
+            for &node in &front {
+                for (slot, &cell) in topology.node_cells[node as usize].iter().enumerate() {
+                    if cell != NO_CELL {
+                        let corners = topology.corners(cell);
+                        next.extend([1, 2, 4].map(|step| corners[slot ^ step]));
+                    }
+                }
+            }
+            next.sort_unstable();
+            next.dedup();
+            next.retain(|n| !places.contains_key(n));
+            for &node in &next {
+                // Nodes that may not move are numbered at the end.
+                let hold = freedom(topology, node);
+                let is_loose = hold != Freedom::Pinned && !topology.is_at_cut(node);
+                let place = if is_loose { ids.len() as u32 } else { u32::MAX };
+                places.insert(node, place);
+                if is_loose {
+                    ids.push(node);
+                    holds.push(hold);
+                }
+            }
+            front = next;
+        }
+        let movable = ids.len();
+        let mut cell_ids = Vec::with_capacity(2 * movable);
+        for &node in &ids {
+            let cells = topology.node_cells[node as usize];
+            cell_ids.extend(cells.into_iter().filter(|&c| c != NO_CELL));
+        }
+        cell_ids.sort_unstable();
+        cell_ids.dedup();
+        let mut cells = Vec::with_capacity(cell_ids.len());
+        for &cell in &cell_ids {
+            cells.push(topology.corners(cell).map(|node| {
+                let place = places.entry(node).or_insert(u32::MAX);
+                if *place == u32::MAX {
+                    *place = ids.len() as u32;
+                    ids.push(node);
+                }
+                *place
+            }));
+        }
+        let mut around = vec![[NO_CELL; 8]; movable];
+        for (c, corners) in (0..).zip(&cells) {
+            for (slot, &node) in corners.iter().enumerate() {
+                if (node as usize) < movable {
+                    around[node as usize][slot] = c;
+                }
+            }
+        }
+        let start: Vec<Vec3> = ids.iter().map(|&n| topology.rest(n)).collect();
+        let spacing = topology.model.spacing_m;
+        let mut patch = Self {
+            at: start.clone(),
+            start,
+            ids,
+            holds,
+            sheet: sheet.len(),
+            movable,
+            cell_ids,
+            cells,
+            around,
+            floors: Vec::new(),
+            spacing,
+        };
+        let floor = Soundness {
+            volume: CORNER_FLOOR * spacing.powi(3),
+            spring: (SPRING_FLOOR * spacing).powi(2),
+        };
+        patch.floors = (0..patch.cells.len())
+            .map(|c| Soundness::of(&patch.corners(c)).min(&floor))
+            .collect();
+        patch
+    }
+
+    pub(crate) fn corners(&self, cell: usize) -> [Vec3; 8] {
+        self.cells[cell].map(|n| self.at[n as usize])
+    }
+
+    /// Cells that are not sound.
+    pub(crate) fn unsound(&self) -> Vec<usize> {
+        (0..self.cells.len())
+            .filter(|&c| !Soundness::of(&self.corners(c)).is_above(&self.floors[c]))
+            .collect()
+    }
+
+    /// Takes back the ways of nodes, half by half, until all cells are sound.
+    pub(crate) fn backtrack(&mut self) {
+        let target: Vec<Vec3> = self.at[..self.movable].to_vec();
+        let mut halvings = vec![0_u8; self.movable];
+        let mut suspects: Vec<u32> = (0..self.cells.len() as u32).collect();
+        while !suspects.is_empty() {
+            let mut back: Vec<u32> = Vec::new();
+            for &cell in &suspects {
+                let c = cell as usize;
+                if !Soundness::of(&self.corners(c)).is_above(&self.floors[c]) {
+                    let nodes = self.cells[c].into_iter();
+                    back.extend(nodes.filter(|&n| {
+                        (n as usize) < self.movable && self.at[n as usize] != self.start[n as usize]
+                    }));
+                }
+            }
+            back.sort_unstable();
+            back.dedup();
+            suspects.clear();
+            for &node in &back {
+                let n = node as usize;
+                halvings[n] += 1;
+                self.at[n] = if halvings[n] > HALVINGS {
+                    self.start[n]
+                } else {
+                    let part = 1.0 / f64::from(1_u32 << halvings[n]);
+                    self.start[n] + (target[n] - self.start[n]) * part
+                };
+                suspects.extend(self.around[n].into_iter().filter(|&c| c != NO_CELL));
+            }
+            suspects.sort_unstable();
+            suspects.dedup();
+        }
+    }
+}
+
+impl Topology {
+    /// Whether a node belongs to the wall of a cut, and was doubled there.
+    pub(crate) fn is_at_wall(&self, node: u32) -> bool {
+        let cells = self.node_cells[node as usize];
+        cells.iter().enumerate().any(|(slot, &cell)| {
+            cell != NO_CELL
+                && (0..3).any(|axis| {
+                    let face = FaceId::new(cell, 2 * axis + (slot >> axis & 1));
+                    let behind = self.model.cells[cell as usize].neighbours[face.face()];
+                    let is_open = self.across(face) == NO_CELL && behind != NO_CELL;
+                    is_open && cells[slot ^ (1 << axis)] != behind
+                })
+        })
+    }
+
+    /// Whether a node belongs to the wall or the front of a cut.
+    fn is_at_cut(&self, node: u32) -> bool {
+        let cells = self.node_cells[node as usize];
+        cells.iter().enumerate().any(|(slot, &cell)| {
+            // Its faces at the corner `slot`: 0 or 1, 2 or 3, 4 or 5.
+            cell != NO_CELL && {
+                let at = (0..3).fold(0, |bits, axis| bits | 1 << (2 * axis + (slot >> axis & 1)));
+                self.cut[cell as usize] & at != 0
+            }
+        })
+    }
+}

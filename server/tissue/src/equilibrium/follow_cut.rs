@@ -1,0 +1,409 @@
+//! How a solver follows a cut: the change of its levels, and its state around it.
+//!
+//! Before the levels change, the deferred part of the state around the cut is resolved: pending displacements of the
+//! elements that change go to their children, at last as outdated forces of bricks, and the nodes and points there receive
+//! the displacements of the coarser levels. Afterwards new points and nodes copy those that they were split from. The state
+//! elsewhere stays, so no force far from the cut changes.
+
+use std::collections::BTreeSet;
+
+use super::coarse_level::{CoarseLevel, NONE, invert, update_total};
+use super::cycle::Multigrid;
+use super::fine_level::{FineLevel, OuterForces, SetChange};
+use super::hierarchy::Hierarchy;
+use super::hierarchy_change::{HierarchyChange, LevelChange};
+use super::quad::{ZERO, plus};
+use super::solver::Solver;
+use super::weight::weights;
+use crate::cut::CutOutcome;
+use crate::{Shape, Topology, Vec3};
+
+impl Solver {
+    /// Follows a cut that made `topology`.
+    pub(super) fn follow(
+        &mut self,
+        topology: &Topology,
+        shape: &mut Shape,
+        outcome: &CutOutcome,
+        change: &HierarchyChange,
+    ) {
+        let (fine, coarse) = (&mut self.fine, &mut self.coarse);
+        fine.mark_applied(&self.hierarchy, coarse);
+        coarse.clear_stiffness(&self.hierarchy);
+        coarse.release_pending(&self.hierarchy, change, fine);
+        fine.bring_up_to_date(&self.hierarchy, coarse, change, &mut shape.displacement);
+        shape.follow(topology, outcome);
+        self.hierarchy.apply(change);
+        for (l, grid) in coarse.grids.iter_mut().enumerate() {
+            grid.follow(&self.hierarchy, l, &change.levels[l]);
+        }
+        coarse.is_outer_restricted = false;
+        fine.follow(topology, &self.hierarchy, outcome, change);
+        let moved = outcome.moved.iter().map(|m| m.node);
+        for node in moved {
+            fine.displaced = fine.displaced.max(shape.displacement[node as usize].norm());
+        }
+        self.contact_smoother.grow(&self.hierarchy);
+        self.contacts.follow(topology, outcome);
+        self.report.steady = false;
+        self.dirty = true;
+    }
+}
+
+impl Multigrid {
+    /// Passes the pending displacements of changing elements on to their children.
+    fn release_pending(
+        &mut self,
+        hierarchy: &Hierarchy,
+        change: &HierarchyChange,
+        fine: &mut FineLevel,
+    ) {
+        for (l, level) in hierarchy.levels.iter().enumerate().rev() {
+            for element in change.levels[l].elements() {
+                let is_old = (element as usize) < level.corners.len();
+                if is_old && self.grids[l].has_pending[element as usize] {
+                    self.release(hierarchy, l, element, f32::INFINITY);
+                    if l == 0 {
+                        for &brick in level.children.row(element) {
+                            fine.stale.insert(brick);
+                        }
+                    }
+                }
+            }
+            self.grids[l].trim();
+        }
+    }
+}
+
+impl FineLevel {
+    /// Brings all nodes of changed and outdated bricks up to date with the coarse levels.
+    fn bring_up_to_date(
+        &mut self,
+        hierarchy: &Hierarchy,
+        coarse: &mut Multigrid,
+        change: &HierarchyChange,
+        u: &mut [Vec3],
+    ) {
+        let count = hierarchy.prolongation.len();
+        let changed = change.around.iter().map(|row| row.0);
+        let mut nodes: BTreeSet<u32> = changed.filter(|n| (*n as usize) < count).collect();
+        for &brick in &self.stale.items {
+            nodes.extend(hierarchy.bricks[brick as usize].nodes);
+        }
+        let mut points: BTreeSet<u32> = nodes
+            .iter()
+            .flat_map(|&n| hierarchy.prolongation.row(n as usize))
+            .map(|(point, _)| point)
+            .collect();
+        let mut of_levels = Vec::new();
+        for (level, change) in hierarchy.levels.iter().zip(&change.levels) {
+            for e in change.elements() {
+                points.extend(level.corners.get(e as usize).into_iter().flatten());
+            }
+            let above = points.iter().flat_map(|&p| level.points_above(p)).collect();
+            of_levels.push(std::mem::replace(&mut points, above));
+        }
+        for l in (0..of_levels.len().saturating_sub(1)).rev() {
+            let (finer, coarser) = coarse.grids.split_at_mut(l + 1);
+            let (grid, above) = (&mut finer[l], &coarser[0]);
+            for &point in &of_levels[l] {
+                let p = point as usize;
+                let prolongation = &hierarchy.levels[l].prolongation;
+                let now = prolongation.interpolate_exactly(p, &above.total);
+                update_total(now, &mut grid.total[p], &mut grid.applied[p]);
+            }
+        }
+        for node in nodes {
+            self.follow_coarser(hierarchy, coarse, u, node);
+        }
+    }
+
+    /// Follows a change of the levels: new nodes and bricks, outdated forces of changed bricks, and an empty active set.
+    fn follow(
+        &mut self,
+        topology: &Topology,
+        hierarchy: &Hierarchy,
+        outcome: &CutOutcome,
+        change: &HierarchyChange,
+    ) {
+        let (nodes, bricks) = (topology.node_count(), hierarchy.bricks.len());
+        for &node in &self.nodes.items {
+            self.inside[node as usize] = 0;
+            self.free[node as usize] = false;
+            self.unbalanced.insert(node);
+        }
+        self.nodes.clear();
+        self.set.clear();
+        self.left.clear();
+        self.increments.clear();
+        for &(new, from) in &outcome.doubled {
+            debug_assert_eq!(new as usize, self.applied.len());
+            self.applied.push(self.applied[from as usize]);
+            self.fixed.push(topology.is_pinned(new));
+        }
+        self.own.resize(nodes, 0.0);
+        for &(node, stiffness) in &change.own {
+            self.own[node as usize] = stiffness;
+        }
+        if !self.weights.is_empty() {
+            self.weights = weights(topology);
+        }
+        self.r.resize(nodes, ZERO);
+        self.d.resize(nodes, ZERO);
+        self.inverse.resize(nodes, [0.0; 6]);
+        self.blocks.resize(nodes, [0.0; 6]);
+        self.start.resize(nodes, Vec3::zeros());
+        self.inside.resize(nodes, 0);
+        self.free.resize(nodes, false);
+        self.forces.resize(bricks, Default::default());
+        self.block_sum.resize(bricks, [0.0; 6]);
+        self.block_sum_at_rest.resize(hierarchy.forms.len(), None);
+        self.blocks_at_rest.resize(hierarchy.forms.len(), None);
+        for list in [
+            &mut self.nodes,
+            &mut self.unbalanced,
+            &mut self.below_threshold,
+            &mut self.disturbed,
+            &mut self.touched,
+            &mut self.moved_on,
+            &mut self.settled,
+        ] {
+            list.grow(nodes);
+        }
+        for list in [
+            &mut self.set,
+            &mut self.left,
+            &mut self.stale,
+            &mut self.computed,
+        ] {
+            list.grow(bricks);
+        }
+        self.required.grow(hierarchy.levels[0].corners.len());
+        for &brick in change.bricks.keys() {
+            self.stale.insert(brick);
+            self.block_sum[brick as usize] = [0.0; 6];
+        }
+        self.since = SetChange::Replaced;
+        self.outer_forces = OuterForces::Changed;
+        self.outdated = true;
+        self.current = false;
+    }
+}
+
+impl CoarseLevel {
+    /// Follows a change of its level: new elements and points, and an empty active set.
+    fn follow(&mut self, hierarchy: &Hierarchy, l: usize, change: &LevelChange) {
+        let level = &hierarchy.levels[l];
+        let (elements, points) = (level.corners.len(), level.points());
+        for &point in &self.points.items {
+            self.inside[point as usize] = 0;
+            self.free[point as usize] = false;
+        }
+        for list in [&mut self.set, &mut self.refined, &mut self.points] {
+            list.clear();
+        }
+        for &from in &change.origins {
+            let from = from as usize;
+            self.total.push(self.total[from]);
+            self.applied.push(self.applied[from]);
+            self.step_correction.push(self.step_correction[from]);
+        }
+        for vectors in [
+            &mut self.e,
+            &mut self.d,
+            &mut self.b,
+            &mut self.r,
+            &mut self.outer_force,
+            &mut self.deferred_residual,
+        ] {
+            vectors.resize(points, ZERO);
+        }
+        self.inside.resize(points, 0);
+        self.free.resize(points, false);
+        self.added_bound.resize(points, [0.0; 6]);
+        self.inverse.resize(points, [0.0; 6]);
+        for &point in &change.bounds {
+            self.inverse[point as usize] = invert(&level.bound[point as usize]);
+        }
+        self.stiffness_of.resize(elements, NONE);
+        self.grow_pending(elements);
+        for list in [&mut self.set, &mut self.refined, &mut self.to_refine] {
+            list.grow(elements);
+        }
+        for list in [
+            &mut self.points,
+            &mut self.loaded,
+            &mut self.corrected,
+            &mut self.outer_points,
+            &mut self.deferred_points,
+            &mut self.stiffened,
+        ] {
+            list.grow(points);
+        }
+        for point in change.points() {
+            let mut residual = ZERO;
+            for &e in level.around.row(point) {
+                let corners = level.corners[e as usize].iter();
+                for (_, force) in corners
+                    .zip(&self.deferred_force[e as usize])
+                    .filter(|c| *c.0 == point)
+                {
+                    residual = plus(&residual, -1.0, force);
+                }
+            }
+            self.deferred_residual[point as usize] = residual;
+            self.deferred_points.insert(point);
+        }
+        self.trim();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::super::PreparedCut;
+    use super::*;
+    use crate::cut_history::CutHistory;
+    use crate::{BladePoint, Budget, CutStroke, Material, Tool, block};
+
+    const CELL: f64 = 4e-3;
+
+    fn topology() -> Arc<Topology> {
+        let material = Material {
+            young_pa: 10e3,
+            density_kg_m3: 1000.0,
+            ..Material::default()
+        };
+        Arc::new(Topology::new(Arc::new(block(
+            [32, 16, 8],
+            CELL,
+            &material,
+            1,
+        ))))
+    }
+
+    /// A press that slides along the block, at step `k`.
+    fn tool(k: usize) -> Tool {
+        let depth = (0.3e-3 * k as f64).min(6e-3);
+        let x = 7.0 * CELL + 0.05e-3 * k as f64;
+        Tool::ball(1, Vec3::new(x, 8.0 * CELL, 8.0 * CELL + 8e-3 - depth), 8e-3)
+    }
+
+    fn slit(x: f64) -> CutStroke {
+        let point = |i: u32| BladePoint {
+            tip: Vec3::new(x * CELL, CELL * (4.0 + f64::from(i)), 4.1 * CELL),
+            axis: Vec3::new(0.3, 0.0, 1.0).normalize(),
+            depth_m: 0.03,
+        };
+        CutStroke {
+            points: (0..9).map(point).collect(),
+            width_m: 0.0,
+        }
+    }
+
+    fn hand() -> Budget<'static> {
+        Budget {
+            near: true,
+            ..Budget::new(2, 0.02)
+        }
+    }
+
+    fn pressed(topology: &Topology) -> (Solver, Shape) {
+        let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
+        for k in 0..40 {
+            solver.step(topology, &mut shape, &[tool(k)], hand());
+        }
+        (solver, shape)
+    }
+
+    fn succeed(
+        solver: &mut Solver,
+        topology: &mut Arc<Topology>,
+        shape: &mut Shape,
+        cut: PreparedCut,
+    ) {
+        let mut history = CutHistory::new(Arc::clone(topology));
+        solver.succeed(topology, &mut history, shape, cut);
+    }
+
+    fn most(a: &[Vec3], b: &[Vec3]) -> f64 {
+        let apart = a.iter().zip(b).map(|(a, b)| (a - b).norm());
+        apart.fold(0.0, f64::max)
+    }
+
+    /// Under the tool, beside it and far from it.
+    #[test]
+    fn following_a_cut_moves_no_node() {
+        for x in [7.6, 10.4, 24.3] {
+            let mut topology = topology();
+            let (mut solver, mut shape) = pressed(&topology);
+            let mut preparer = solver.preparer(&topology, CutHistory::new(Arc::clone(&topology)));
+            let cut = preparer.prepare(&slit(x)).unwrap();
+            let (mut other, mut expected) = pressed(&topology);
+            other.prolongate_all(&mut expected);
+            expected.follow(&cut.topology, &cut.outcome);
+            succeed(&mut solver, &mut topology, &mut shape, cut);
+            solver.prolongate_all(&mut shape);
+            let moved = most(&shape.displacement, &expected.displacement);
+            assert!(moved < 1e-9, "{moved} m at {x}");
+        }
+    }
+
+    #[test]
+    fn equilibrium_after_cuts_is_that_of_a_new_solver() {
+        let mut topology = topology();
+        let (mut solver, mut shape) = pressed(&topology);
+        let mut preparer = solver.preparer(&topology, CutHistory::new(Arc::clone(&topology)));
+        for (i, x) in [7.6, 10.4, 24.3, 12.2].into_iter().enumerate() {
+            let cut = preparer.prepare(&slit(x)).unwrap();
+            succeed(&mut solver, &mut topology, &mut shape, cut);
+            for k in 40 + 5 * i..45 + 5 * i {
+                solver.step(&topology, &mut shape, &[tool(k)], hand());
+            }
+        }
+        let budget = || Budget::new(300, 1e-6);
+        solver.step(&topology, &mut shape, &[tool(60)], budget());
+        assert!(solver.report.residual < 1e-6, "{}", solver.report.residual);
+        let (mut new, mut expected) = (Solver::new(&topology), Shape::rest(&topology));
+        for k in 40..=60 {
+            new.step(&topology, &mut expected, &[tool(k)], Budget::new(30, 1e-3));
+        }
+        new.step(&topology, &mut expected, &[tool(60)], budget());
+        let force = |solver: &Solver| solver.report.reactions[0].force.norm();
+        let (a, b) = (force(&solver), force(&new));
+        assert!((a - b).abs() < 1e-2 * b, "{a} and {b} N");
+        assert!(solver.residual_over_all(&shape) < 1e-5);
+    }
+
+    /// The force of the hand's steps after cuts near the tool stays that of converged solves.
+    #[test]
+    fn quick_forces_after_cuts_are_converged_ones() {
+        let mut topology = topology();
+        let (mut solver, mut shape) = pressed(&topology);
+        let (mut full, mut converged) = pressed(&topology);
+        let mut preparer = solver.preparer(&topology, CutHistory::new(Arc::clone(&topology)));
+        let (mut squares, mut sum) = (0.0, 0.0);
+        for k in 40..140 {
+            if k % 20 == 10 {
+                let cut = preparer
+                    .prepare(&slit(8.3 + 0.07 * f64::from(k as u32)))
+                    .unwrap();
+                succeed(
+                    &mut full,
+                    &mut topology.clone(),
+                    &mut converged,
+                    preparer.repeat(&cut),
+                );
+                succeed(&mut solver, &mut topology, &mut shape, cut);
+            }
+            solver.step(&topology, &mut shape, &[tool(k)], hand());
+            full.step(&topology, &mut converged, &[tool(k)], Budget::new(60, 1e-3));
+            let force = |solver: &Solver| solver.report.reactions[0].force;
+            squares += (force(&solver) - force(&full)).norm_squared();
+            sum += force(&full).norm_squared();
+        }
+        let error = f64::sqrt(squares / sum);
+        assert!(error < 0.05, "{error}");
+    }
+}

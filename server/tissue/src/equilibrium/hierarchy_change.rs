@@ -1,0 +1,466 @@
+//! Change of a hierarchy by a cut: everything around the new faces, and nothing else.
+//!
+//! A [`CutPreparer`](super::CutPreparer) computes it once with its own hierarchy, and every solver of the same topology
+//! applies it to another. Its price depends on the new faces and not on the size of the model. Numbers of nodes, bricks,
+//! elements and points stay, new ones are appended.
+
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::brick::{Brick, CORNER, Form};
+use super::coarsen::{octant, place};
+use super::construction::{Construction, Places};
+use super::element::Matrix;
+use super::fine_level::own_stiffness;
+use super::hierarchy::{
+    Hierarchy, Level, Made, entries_of, joined, parts_over_bricks, parts_over_children, place_of,
+};
+use super::kinds::Parts;
+use super::prolongation::{FREE, set};
+use super::recoarsen::{Cells, Changed, Recoarsened, recoarsen};
+use crate::Topology;
+use crate::cell::NO_CELL;
+
+/// The change of one coarse level.
+#[derive(Default)]
+pub(super) struct LevelChange {
+    /// Corners of elements, new ones included.
+    corners: Vec<(u32, [u32; 8])>,
+    /// New elements: the element that each was split from, and its position in its parent.
+    new: Vec<(u32, u32, u8)>,
+    /// Children of elements; on level 1 bricks.
+    children: Vec<(u32, Vec<u32>)>,
+    /// Matrices of elements, and new matrices.
+    matrix: Vec<(u32, u32)>,
+    matrices: Vec<Arc<Matrix>>,
+    /// The point that each new point was split from.
+    pub(super) origins: Vec<u32>,
+    /// Elements around points.
+    around: Vec<(u32, Vec<u32>)>,
+    /// Points whose diagonal bound changed.
+    pub(super) bounds: BTreeSet<u32>,
+    /// Element and place of the points of the next finer level.
+    pub(super) entries: BTreeMap<u32, u32>,
+}
+
+impl LevelChange {
+    /// All changed elements, new ones included.
+    pub(super) fn elements(&self) -> BTreeSet<u32> {
+        let corners = self.corners.iter().map(|e| e.0);
+        let children = self.children.iter().map(|e| e.0);
+        let matrix = self.matrix.iter().map(|e| e.0);
+        corners.chain(children).chain(matrix).collect()
+    }
+
+    /// Points whose elements changed, new ones included.
+    pub(super) fn points(&self) -> impl Iterator<Item = u32> + '_ {
+        self.around.iter().map(|row| row.0)
+    }
+}
+
+/// See the module.
+#[derive(Default)]
+pub(crate) struct HierarchyChange {
+    /// Changed and new bricks with their elements.
+    pub(super) bricks: BTreeMap<u32, (Brick, u32)>,
+    forms: Vec<Arc<Form>>,
+    /// Bricks around nodes.
+    pub(super) around: Vec<(u32, Vec<u32>)>,
+    /// Mean stiffness of nodes at rest, in N/m.
+    pub(super) own: Vec<(u32, f64)>,
+    pub(super) levels: Vec<LevelChange>,
+}
+
+/// The cells of a topology.
+struct Fine<'a>(&'a Topology);
+
+impl Cells for Fine<'_> {
+    fn at(&self, cell: u32) -> [i32; 3] {
+        place_of(self.0, cell)
+    }
+
+    fn corners(&self, cell: u32) -> [u32; 8] {
+        self.0.corners(cell)
+    }
+
+    fn joined(&self, cell: u32, axis: usize, list: &mut Vec<u32>) {
+        joined(self.0, cell, axis, list);
+    }
+}
+
+/// The elements of a level.
+struct Elements<'a> {
+    level: &'a Level,
+    places: &'a Places,
+}
+
+impl Cells for Elements<'_> {
+    fn at(&self, element: u32) -> [i32; 3] {
+        self.places.of[element as usize]
+    }
+
+    fn corners(&self, element: u32) -> [u32; 8] {
+        self.level.corners[element as usize]
+    }
+
+    /// Elements are joined if they share all points of a face.
+    fn joined(&self, element: u32, axis: usize, list: &mut Vec<u32>) {
+        let own = self.corners(element);
+        let mut to = self.at(element);
+        to[axis] += 1;
+        let shares = |&other: &u32| {
+            let corners = self.corners(other);
+            (0..8)
+                .filter(|c| c >> axis & 1 == 0)
+                .all(|c| corners[c] == own[c | 1 << axis])
+        };
+        list.extend(self.places.at(to).filter(shares));
+    }
+}
+
+impl Hierarchy {
+    /// Follows a cut of its topology that touched these nodes, sorted. Returns the change, for other hierarchies.
+    pub(super) fn follow(
+        &mut self,
+        construction: &mut Construction,
+        topology: &Topology,
+        touched: &[u32],
+    ) -> HierarchyChange {
+        let cells = cells_within(topology, touched);
+        let level_1 = (
+            &self.levels[0],
+            &construction.places[0],
+            &construction.cells,
+        );
+        let coarse = recoarsen(&Fine(topology), level_1, &cells);
+        for element in &coarse.elements {
+            construction.cells.set(element.id, &element.cells);
+        }
+        let own = |&node: &u32| (node, own_stiffness(topology, node));
+        let mut change = HierarchyChange {
+            own: touched.par_iter().map(own).collect(),
+            ..HierarchyChange::default()
+        };
+        let children = self.remake_bricks(construction, topology, &coarse, &mut change);
+        let parts: Vec<(u32, Parts)> = children
+            .iter()
+            .map(|(e, list)| {
+                let bricks = list.iter().map(|brick| &change.bricks[brick].0);
+                (*e, parts_over_bricks(topology, bricks))
+            })
+            .collect();
+        let place = |cell: u32| place(place_of(topology, cell));
+        let mut first = self.level_change(construction, 0, coarse, &parts, place);
+        first.children = children;
+        for (_, entry) in first
+            .entries
+            .iter_mut()
+            .filter(|e| topology.is_pinned(*e.0))
+        {
+            *entry = FREE;
+        }
+        self.apply_bricks(&change);
+        self.apply_level(0, &first);
+        change.levels.push(first);
+        for l in 1..self.levels.len() {
+            let next = self.compute_level(construction, l, &change.levels[l - 1]);
+            self.apply_level(l, &next);
+            change.levels.push(next);
+        }
+        change
+    }
+
+    /// Makes the bricks of changed elements anew, under their former numbers as far as possible. Returns the bricks of
+    /// each element.
+    fn remake_bricks(
+        &self,
+        construction: &mut Construction,
+        topology: &Topology,
+        coarse: &Recoarsened,
+        change: &mut HierarchyChange,
+    ) -> Vec<(u32, Vec<u32>)> {
+        let made: Vec<Vec<Made>> = coarse
+            .elements
+            .par_iter()
+            .map(|element| Made::of(topology, &element.cells))
+            .collect();
+        let forms = construction.kinds.forms.len();
+        let mut count = self.bricks.len() as u32;
+        let mut children = Vec::new();
+        let mut nodes = BTreeSet::new();
+        for (element, made) in coarse.elements.iter().zip(made) {
+            let is_old = element.id == element.origin;
+            let mut known = if is_old {
+                self.levels[0].children.row(element.id).iter()
+            } else {
+                [].iter()
+            };
+            let mut list = Vec::new();
+            for made in made {
+                let id = known.next().copied().unwrap_or_else(|| {
+                    count += 1;
+                    count - 1
+                });
+                let brick = made.numbered(&mut construction.kinds);
+                change.bricks.insert(id, (brick, element.id));
+                list.push(id);
+            }
+            for &unused in known {
+                let brick = Brick {
+                    present: 0,
+                    ..self.bricks[unused as usize]
+                };
+                change.bricks.insert(unused, (brick, element.id));
+            }
+            children.push((element.id, list));
+        }
+        change.forms = construction.kinds.forms[forms..].to_vec();
+        let mut added: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+        for (&id, (brick, _)) in &change.bricks {
+            for (node, entry) in entries_of(id, brick) {
+                added.entry(node).or_default().push(entry);
+            }
+            if let Some(former) = self.bricks.get(id as usize) {
+                nodes.extend(entries_of(id, former).map(|e| e.0));
+            }
+        }
+        nodes.extend(added.keys());
+        for node in nodes {
+            let is_known = (node as usize) < self.prolongation.len();
+            let former = if is_known { self.around.row(node) } else { &[] };
+            let unchanged = former
+                .iter()
+                .filter(|e| !change.bricks.contains_key(&(*e / 32)));
+            let mut row: Vec<u32> = unchanged.copied().collect();
+            row.extend(added.remove(&node).unwrap_or_default());
+            row.sort_unstable();
+            change.around.push((node, row));
+        }
+        children
+    }
+
+    /// The change of a level above level 1.
+    fn compute_level(
+        &self,
+        construction: &mut Construction,
+        l: usize,
+        finer: &LevelChange,
+    ) -> LevelChange {
+        let (level, below) = (&self.levels[l], &self.levels[l - 1]);
+        let elements = Elements {
+            level: below,
+            places: &construction.places[l - 1],
+        };
+        let mut changed: Changed = finer.corners.iter().map(|e| (e.0, None)).collect();
+        for &(new, from, _) in &finer.new {
+            changed.insert(new, Some(below.parent[from as usize]));
+        }
+        let here = (level, &construction.places[l], &level.children);
+        let mut coarse = recoarsen(&elements, here, &changed);
+        // A point may have followed an element that has left it to a new point.
+        for point in finer.points() {
+            if let Entry::Vacant(entry) = coarse.entries.entry(point) {
+                let e = below.around.row(point)[0];
+                let corner = below.corners[e as usize].iter().position(|p| *p == point);
+                let own = usize::from(below.octant[e as usize]);
+                let place = CORNER[own][corner.unwrap_or_default()] as u32;
+                entry.insert(below.parent[e as usize] * 32 + place);
+            }
+        }
+        let mut parts: BTreeMap<u32, Parts> = BTreeMap::new();
+        let mut children = Vec::new();
+        for element in &coarse.elements {
+            parts.insert(element.id, parts_over_children(below, &element.cells));
+            children.push((element.id, element.cells.clone()));
+        }
+        let former = |e: u32| level.children.row(e);
+        for &(child, _) in finer
+            .matrix
+            .iter()
+            .filter(|m| (m.0 as usize) < below.parent.len())
+        {
+            let parent = below.parent[child as usize];
+            parts
+                .entry(parent)
+                .or_insert_with(|| parts_over_children(below, former(parent)));
+        }
+        let parts: Vec<(u32, Parts)> = parts.into_iter().collect();
+        let places: Vec<[i32; 3]> = coarse
+            .elements
+            .iter()
+            .map(|e| elements.at(e.cells[0]))
+            .collect();
+        let of: BTreeMap<u32, [i32; 3]> = coarse
+            .elements
+            .iter()
+            .map(|e| e.cells[0])
+            .zip(places)
+            .collect();
+        let mut change =
+            self.level_change(construction, l, coarse, &parts, |cell| place(of[&cell]));
+        change.children = children;
+        change
+    }
+
+    /// The change of a level but for the children. `parts` are those of the elements whose matrix may have changed;
+    /// `place` is the place of the element of a finer cell.
+    fn level_change(
+        &self,
+        construction: &mut Construction,
+        l: usize,
+        coarse: Recoarsened,
+        parts: &[(u32, Parts)],
+        place: impl Fn(u32) -> [i32; 3],
+    ) -> LevelChange {
+        let level = &self.levels[l];
+        let count = level.corners.len() as u32;
+        let mut new = Vec::new();
+        for element in coarse.elements.iter().filter(|e| e.id >= count) {
+            let at = place(element.cells[0]);
+            new.push((element.id, element.origin, octant(at) as u8));
+            construction.places[l].push(at);
+        }
+        let known = construction.kinds.levels[l].matrices.len();
+        let list: Vec<Parts> = parts.iter().map(|p| p.1.clone()).collect();
+        let numbers = construction.kinds.matrices(l, &list, self.per_spacing);
+        let is_changed = |&(e, m): &(u32, u32)| level.matrix.get(e as usize) != Some(&m);
+        let matrix: Vec<(u32, u32)> = parts
+            .iter()
+            .map(|p| p.0)
+            .zip(numbers)
+            .filter(is_changed)
+            .collect();
+        let now: BTreeMap<u32, [u32; 8]> = coarse.corners.iter().copied().collect();
+        let mut bounds: BTreeSet<u32> = coarse.around.iter().map(|row| row.0).collect();
+        for (e, _) in &matrix {
+            bounds.extend(now.get(e).unwrap_or_else(|| &level.corners[*e as usize]));
+        }
+        LevelChange {
+            corners: coarse.corners,
+            new,
+            children: Vec::new(),
+            matrix,
+            matrices: construction.kinds.levels[l].matrices[known..].to_vec(),
+            origins: coarse.origins,
+            around: coarse.around,
+            bounds,
+            entries: coarse.entries,
+        }
+    }
+
+    /// Applies a change that another hierarchy of the same topology has computed.
+    pub(super) fn apply(&mut self, change: &HierarchyChange) {
+        self.apply_bricks(change);
+        for (l, level) in change.levels.iter().enumerate() {
+            self.apply_level(l, level);
+        }
+    }
+
+    fn apply_bricks(&mut self, change: &HierarchyChange) {
+        self.forms.extend(change.forms.iter().cloned());
+        let known = self.shared.len();
+        self.shared.resize(self.forms.len(), false);
+        let mut used = vec![false; change.forms.len()];
+        for (&id, &(brick, element)) in &change.bricks {
+            set(&mut self.bricks, id, brick);
+            set(&mut self.element_of, id, element);
+            let form = brick.form as usize;
+            let is_used = form < known || std::mem::replace(&mut used[form - known], true);
+            self.shared[form] |= is_used;
+        }
+        for (node, row) in &change.around {
+            self.around.set(*node, row);
+        }
+    }
+
+    fn apply_level(&mut self, l: usize, change: &LevelChange) {
+        let (finer, coarser) = self.levels.split_at_mut(l);
+        let level = &mut coarser[0];
+        level.matrices.extend(change.matrices.iter().cloned());
+        for &(e, _, octant) in &change.new {
+            set(&mut level.octant, e, octant);
+        }
+        for &(e, matrix) in &change.matrix {
+            set(&mut level.matrix, e, matrix);
+        }
+        for &(e, corners) in &change.corners {
+            set(&mut level.corners, e, corners);
+        }
+        for (e, children) in &change.children {
+            level.children.set(*e, children);
+        }
+        for (point, row) in &change.around {
+            level.around.set(*point, row);
+        }
+        for &point in &change.bounds {
+            let bound = level.bound_of(point);
+            set(&mut level.bound, point, bound);
+        }
+        let prolongation = if let Some(below) = finer.last_mut() {
+            for (e, children) in &change.children {
+                for &child in children {
+                    set(&mut below.parent, child, *e);
+                }
+            }
+            &mut below.prolongation
+        } else {
+            move_followers(&mut self.nodes_of, &self.prolongation, &change.entries);
+            &mut self.prolongation
+        };
+        for (&point, &entry) in &change.entries {
+            prolongation.set_entry(point, entry);
+        }
+        for &(e, corners) in &change.corners {
+            prolongation.set_corners(e, corners);
+        }
+    }
+}
+
+/// The cells all of whose corners are among these nodes, sorted: a superset of those that a cut changed.
+fn cells_within(topology: &Topology, touched: &[u32]) -> Changed {
+    let is_touched = |n: &u32| touched.binary_search(n).is_ok();
+    let around = touched.iter().flat_map(|&n| topology.cells_around(n));
+    let cells: BTreeSet<u32> = around.filter(|&c| c != NO_CELL).collect();
+    cells
+        .into_iter()
+        .filter(|&c| topology.corners(c).iter().all(is_touched))
+        .map(|c| (c, None))
+        .collect()
+}
+
+/// Moves nodes to the rows of the elements that they follow from now on.
+fn move_followers(
+    nodes_of: &mut super::hierarchy::Table,
+    before: &super::prolongation::Prolongation,
+    entries: &BTreeMap<u32, u32>,
+) {
+    let mut rows: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (&node, &entry) in entries {
+        let known = (node as usize) < before.len();
+        let from = known.then(|| before.element_of(node as usize)).flatten();
+        let to = (entry != FREE).then_some(entry / 32);
+        if from == to {
+            continue;
+        }
+        if let Some(from) = from {
+            let row = rows
+                .entry(from)
+                .or_insert_with(|| nodes_of.row(from).to_vec());
+            row.retain(|n| *n != node);
+        }
+        if let Some(to) = to {
+            let is_new = to as usize >= nodes_of.rows();
+            let known: &[u32] = if is_new { &[] } else { nodes_of.row(to) };
+            rows.entry(to).or_insert_with(|| known.to_vec()).push(node);
+        }
+    }
+    for (element, row) in rows {
+        nodes_of.set(element, &row);
+    }
+}
+
+#[cfg(test)]
+mod tests;

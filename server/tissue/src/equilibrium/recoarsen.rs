@@ -1,0 +1,198 @@
+//! Local change of a coarse lattice after a change of the finer one; the rules are those of [`coarsen`](super::coarsen).
+//!
+//! A cut only separates: an element splits into several at the same place, and a point into several. Elements and points
+//! keep their numbers, and new ones are appended. So only the places of changed cells, and the points of their elements,
+//! are looked at.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use super::brick::CORNER;
+use super::coarsen::{Sets, octant, place, support};
+use super::construction::Places;
+use super::hierarchy::{Level, Table};
+
+/// The finer cells of a coarse level.
+pub(super) trait Cells {
+    /// Lattice coordinates of a cell.
+    fn at(&self, cell: u32) -> [i32; 3];
+    /// Points at its corners.
+    fn corners(&self, cell: u32) -> [u32; 8];
+    /// Appends the cells joined to it through its upper face on an axis.
+    fn joined(&self, cell: u32, axis: usize, list: &mut Vec<u32>);
+}
+
+/// An element whose cells changed.
+pub(super) struct ChangedElement {
+    pub(super) id: u32,
+    /// The element that its first cell was part of: itself, or the one that it was split from.
+    pub(super) origin: u32,
+    /// Its cells, ascending.
+    pub(super) cells: Vec<u32>,
+}
+
+/// The change of a coarse lattice.
+pub(super) struct Recoarsened {
+    pub(super) elements: Vec<ChangedElement>,
+    /// Corners of all elements with new ones.
+    pub(super) corners: Vec<(u32, [u32; 8])>,
+    /// The point that each new point was split from.
+    pub(super) origins: Vec<u32>,
+    /// Elements around points where they changed.
+    pub(super) around: Vec<(u32, Vec<u32>)>,
+    /// Element and place of the finer points in changed elements; see
+    /// [`Prolongation`](super::prolongation::Prolongation).
+    pub(super) entries: BTreeMap<u32, u32>,
+}
+
+/// A changed cell, and the element of the cell that it was split from if it is new.
+pub(super) type Changed = BTreeMap<u32, Option<u32>>;
+
+/// Follows changes of the connections or corners of finer cells. `members` are the former cells of each element.
+pub(super) fn recoarsen(
+    cells: &impl Cells,
+    (level, places, members): (&Level, &Places, &Table),
+    changed: &Changed,
+) -> Recoarsened {
+    let elements = split(cells, (level, places, members), changed);
+    let points: BTreeSet<u32> = elements
+        .iter()
+        .flat_map(|e| level.corners[e.origin as usize])
+        .collect();
+    // All elements at these points, with their former corners and their cells.
+    let mut near: BTreeMap<u32, ([u32; 8], &[u32])> = BTreeMap::new();
+    for &e in points.iter().flat_map(|&p| level.around.row(p)) {
+        near.insert(e, (level.corners[e as usize], members.row(e)));
+    }
+    for e in &elements {
+        near.insert(e.id, (level.corners[e.origin as usize], &e.cells));
+    }
+    let (corners, origins) = merge(cells, level.points(), &points, &near);
+    let mut around: BTreeMap<u32, Vec<u32>> = points.iter().map(|&p| (p, Vec::new())).collect();
+    for (&e, corners) in near.keys().zip(&corners) {
+        for &point in corners {
+            if points.contains(&point) || point as usize >= level.points() {
+                around.entry(point).or_default().push(e);
+            }
+        }
+    }
+    let mut entries = BTreeMap::new();
+    for element in &elements {
+        for &cell in &element.cells {
+            let own = octant(cells.at(cell));
+            for (corner, point) in cells.corners(cell).into_iter().enumerate() {
+                entries.insert(point, element.id * 32 + CORNER[own][corner] as u32);
+            }
+        }
+    }
+    let known = |e: u32| level.corners.get(e as usize).copied();
+    let corners = near.keys().copied().zip(corners);
+    Recoarsened {
+        corners: corners.filter(|(e, c)| known(*e) != Some(*c)).collect(),
+        elements,
+        origins,
+        around: around.into_iter().collect(),
+        entries,
+    }
+}
+
+/// The elements at the places of changed cells whose cells changed, in the order of new numbers.
+fn split(
+    cells: &impl Cells,
+    (level, places, members): (&Level, &Places, &Table),
+    changed: &Changed,
+) -> Vec<ChangedElement> {
+    let mut at: BTreeMap<[i32; 3], Vec<(u32, u32)>> = BTreeMap::new();
+    for (&cell, new_in) in changed {
+        let new = new_in.map(|element| (cell, element));
+        at.entry(place(cells.at(cell))).or_default().extend(new);
+    }
+    let mut count = level.corners.len() as u32;
+    let mut elements = Vec::new();
+    let mut joined = Vec::new();
+    for (at, mut here) in at {
+        for e in places.at(at) {
+            here.extend(members.row(e).iter().map(|&c| (c, e)));
+        }
+        here.sort_unstable();
+        let mut sets = Sets::new(here.len());
+        for (i, &(cell, _)) in here.iter().enumerate() {
+            for axis in (0..3).filter(|&axis| cells.at(cell)[axis] & 1 == 0) {
+                joined.clear();
+                cells.joined(cell, axis, &mut joined);
+                for other in &joined {
+                    if let Ok(j) = here.binary_search_by_key(other, |h| h.0) {
+                        sets.join(i as u32, j as u32);
+                    }
+                }
+            }
+        }
+        let mut groups: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+        for (i, &(cell, _)) in here.iter().enumerate() {
+            groups.entry(sets.find(i as u32)).or_default().push(cell);
+        }
+        let mut kept = BTreeSet::new();
+        for (first, group) in groups {
+            let origin = here[first as usize].1;
+            let id = if kept.insert(origin) {
+                origin
+            } else {
+                count += 1;
+                count - 1
+            };
+            let is_changed =
+                group != members.row(origin) || group.iter().any(|c| changed.contains_key(c));
+            if is_changed {
+                elements.push(ChangedElement {
+                    id,
+                    origin,
+                    cells: group,
+                });
+            }
+        }
+    }
+    elements
+}
+
+/// Corners of the elements near these points, whose corners are merged anew, and the origin of each new point.
+fn merge(
+    cells: &impl Cells,
+    count: usize,
+    points: &BTreeSet<u32>,
+    near: &BTreeMap<u32, ([u32; 8], &[u32])>,
+) -> (Vec<[u32; 8]>, Vec<u32>) {
+    let mut slots = Sets::new(near.len() * 8);
+    let mut first: HashMap<(u32, usize), u32> = HashMap::new();
+    for (k, (former, members)) in near.values().enumerate() {
+        for &cell in *members {
+            let own = octant(cells.at(cell));
+            for (corner, point) in cells.corners(cell).into_iter().enumerate() {
+                for (low, slot) in support(own, corner) {
+                    if points.contains(&former[slot]) {
+                        let slot = (k * 8 + slot) as u32;
+                        let known = *first.entry((point, low)).or_insert(slot);
+                        slots.join(known, slot);
+                    }
+                }
+            }
+        }
+    }
+    let mut number: HashMap<u32, u32> = HashMap::new();
+    let (mut kept, mut origins) = (BTreeSet::new(), Vec::new());
+    let mut corners = Vec::with_capacity(near.len());
+    for (k, (former, _)) in near.values().enumerate() {
+        let mut now = *former;
+        for (s, point) in now.iter_mut().enumerate().filter(|p| points.contains(p.1)) {
+            let root = slots.find((k * 8 + s) as u32);
+            *point = *number.entry(root).or_insert_with(|| {
+                if kept.insert(*point) {
+                    *point
+                } else {
+                    origins.push(*point);
+                    (count + origins.len() - 1) as u32
+                }
+            });
+        }
+        corners.push(now);
+    }
+    (corners, origins)
+}

@@ -1,0 +1,41 @@
+//! The sheet of a cut over random strokes on a block: planes and curves, whole and in pieces.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
+
+mod strokes;
+
+use std::sync::Arc;
+
+use palpate_tissue::{Material, Topology, block};
+use strokes::sheet_laws::{check, count};
+
+fn uncut() -> Topology {
+    let material = Material::default();
+    Topology::new(Arc::new(block([20, 16, 12], 5e-3, &material, 0)))
+}
+
+#[test]
+fn random_strokes_on_a_block_keep_the_laws_and_reach_the_swept_surface() {
+    let count = count(2000);
+    let tally = check(&uncut(), count, None);
+    println!("{tally:?} {:?}", tally.shares());
+    assert!(tally.refused as u64 <= count / 5);
+    let [inside, interface] = tally.shares();
+    assert!(inside > 0.98, "{inside}");
+    assert!(interface > 0.88, "{interface}");
+}
+
+#[test]
+fn strokes_in_pieces_open_nearly_the_sheet_of_the_whole_stroke() {
+    let count = count(100);
+    let whole = check(&uncut(), count, None);
+    for length_m in [1e-3, 3e-3] {
+        let tally = check(&uncut(), count, Some(length_m));
+        println!("{length_m}: {tally:?} {:?}", tally.shares());
+        let faces = tally.faces as f64 / whole.faces as f64;
+        assert!((faces - 1.0).abs() < 0.1, "{faces}");
+        let [inside, interface] = tally.shares();
+        assert!(inside > 0.94, "{inside}");
+        assert!(interface > 0.85, "{interface}");
+    }
+}

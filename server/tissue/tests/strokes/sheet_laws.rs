@@ -1,0 +1,107 @@
+//! Laws of the sheet of one stroke on an uncut model, and tallies of its nodes.
+
+use palpate_tissue::{CutError, SweptSurface, Topology, cut};
+use rand::SeedableRng;
+use rand_pcg::Pcg64;
+
+use super::random_stroke::{pieces, random_stroke};
+use super::sheet_figures::{Kind, cell_figures, drift, sheet_nodes};
+
+/// A node this near to the swept surface is on it, in spacings.
+const ON: f64 = 0.05;
+/// Least corner determinant and shortest spring of a cell that a cut moved, in spacings; less only where the cell had less
+/// before.
+const FLOORS: [f64; 2] = [0.0499, 0.2999];
+/// Farthest that a node may leave its interfaces as built, in spacings.
+const DRIFT_MAX: f64 = 0.1;
+
+/// Nodes of sheets that are not pinned.
+#[derive(Debug, Default)]
+pub(crate) struct Tally {
+    pub(crate) inside: [usize; 2],
+    pub(crate) interface: [usize; 2],
+    pub(crate) faces: usize,
+    pub(crate) refused: usize,
+}
+
+impl Tally {
+    /// Shares of the nodes inside and on interfaces that are on the swept surface.
+    pub(crate) fn shares(&self) -> [f64; 2] {
+        [self.inside, self.interface].map(|[on, all]| on as f64 / all.max(1) as f64)
+    }
+}
+
+/// Number of strokes: `PALPATE_STROKES` if set.
+pub(crate) fn count(default: u64) -> u64 {
+    let set = std::env::var("PALPATE_STROKES");
+    set.map_or(default, |n| n.parse().expect("PALPATE_STROKES is a number"))
+}
+
+/// Cuts an uncut model with `count` random strokes, each from the beginning, as a whole or in pieces of a length in m.
+pub(crate) fn check(uncut: &Topology, count: u64, piece_m: Option<f64>) -> Tally {
+    let mut tally = Tally::default();
+    for seed in 0..count {
+        check_stroke(uncut, seed, piece_m, &mut tally);
+    }
+    tally
+}
+
+fn mass(t: &Topology) -> f64 {
+    (0..t.node_count() as u32).map(|n| t.mass(n)).sum()
+}
+
+fn check_stroke(uncut: &Topology, seed: u64, piece_m: Option<f64>, tally: &mut Tally) {
+    let spacing = uncut.model().spacing_m;
+    let stroke = random_stroke(uncut, &mut Pcg64::seed_from_u64(seed));
+    let surface = SweptSurface::of(&stroke, spacing).unwrap();
+    let strokes = match piece_m {
+        None => vec![stroke],
+        Some(length) => pieces(&stroke, length, spacing),
+    };
+    let mut t = uncut.clone();
+    for stroke in &strokes {
+        let hash = t.hash();
+        match cut(&mut t, stroke) {
+            Ok(_) => assert_ne!(t.hash(), hash, "stroke {seed}"),
+            Err(error) => {
+                assert_eq!(t.hash(), hash, "stroke {seed}");
+                let is_reason = error == CutError::NothingNew || error.to_string().len() > 20;
+                assert!(is_reason, "stroke {seed}: {error}");
+            }
+        }
+    }
+    if t.version() == 0 {
+        tally.refused += 1;
+        return;
+    }
+    assert!(t.boundary().is_closed(), "stroke {seed}");
+    let gained = mass(&t) / mass(uncut) - 1.0;
+    assert!(gained.abs() < 1e-12, "stroke {seed}: mass by {gained:e}");
+    for c in 0..t.cell_count() as u32 {
+        let [now, before] = [&t, uncut].map(|t| t.corners(c).map(|n| t.rest(n)));
+        if now != before {
+            let [now, before] = [&now, &before].map(|x| cell_figures(x, spacing));
+            for i in 0..2 {
+                let is_sound = now[i] >= FLOORS[i] || now[i] >= before[i];
+                assert!(is_sound, "stroke {seed}, cell {c}: {now:?} of {before:?}");
+            }
+        }
+    }
+    let opened = uncut.boundary().faces.len();
+    tally.faces += t.boundary().faces.len() - opened;
+    for node in sheet_nodes(uncut, &t, opened, &surface) {
+        let drift = drift(uncut, &t, node.node);
+        assert!(
+            drift <= DRIFT_MAX,
+            "stroke {seed}, node {}: {drift}",
+            node.node
+        );
+        let counts = match node.kind {
+            Kind::Inside => &mut tally.inside,
+            Kind::Interface => &mut tally.interface,
+            Kind::Pinned => continue,
+        };
+        counts[0] += usize::from(node.off <= ON);
+        counts[1] += 1;
+    }
+}
