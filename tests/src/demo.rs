@@ -309,7 +309,6 @@ fn conclude(
         operations: run.host.cuts,
         components: run.host.components,
         boundary_closed: run.host.boundary_closed,
-        applied_after_ms: applied_after(&recordings),
         late_ms: recordings.iter().map(|r| CutLateness::of(r)).collect(),
     };
     let disagreement = Disagreement::between(&recordings);
@@ -352,21 +351,6 @@ fn judge(report: &mut Report, options: &DemoOptions) {
         delay_limit_ms,
         is_covered,
     });
-}
-
-/// Time at which each participant applied the first cut, relative to the first one. Late participants, which
-/// receive the cut with the log, are excluded.
-fn applied_after(recordings: &[&Recording]) -> Vec<(String, f64)> {
-    let cut = |r: &Recording| {
-        let cut = r.operations.iter().find(|o| o.version == 1)?;
-        let was_there = r.views.first()?.shown_us < cut.applied_us;
-        was_there.then_some((r.name.clone(), cut.applied_us))
-    };
-    let cuts: Vec<(String, i64)> = recordings.iter().filter_map(|r| cut(r)).collect();
-    let first = cuts.iter().map(|c| c.1).min().unwrap_or(0);
-    cuts.into_iter()
-        .map(|(name, us)| (name, (us - first) as f64 * 1e-3))
-        .collect()
 }
 
 fn draw(

@@ -68,8 +68,6 @@ pub struct CutReport {
     pub components: usize,
     /// Whether the outer surface is closed, wounds included.
     pub boundary_closed: bool,
-    /// Time at which each participant applied the first cut, ms after the first one.
-    pub applied_after_ms: Vec<(String, f64)>,
     pub late_ms: Vec<CutLateness>,
 }
 
