@@ -153,21 +153,28 @@ async fn shares(bulk_first: bool) -> [f64; 3] {
     all.map(|count| count.take() / could)
 }
 
-fn fair([bulk, first, second]: [f64; 3]) {
-    println!("bulk {bulk:.3}, sessions {first:.3} and {second:.3}");
-    assert!(bulk >= 0.35, "the bulk flow keeps {bulk:.3}");
-    for session in [first, second] {
-        // 100 kbit/s of 10 Mbit/s.
-        assert!(session >= 0.01, "a session keeps {session:.4}");
+/// Measurements of the shares. Other load on the machine takes packets from a flow; it does not give it any.
+const ATTEMPTS: usize = 3;
+
+async fn fair(bulk_first: bool) {
+    for attempt in 1.. {
+        let [bulk, first, second] = shares(bulk_first).await;
+        println!("bulk {bulk:.3}, sessions {first:.3} and {second:.3}");
+        // A session keeps 100 kbit/s of 10 Mbit/s.
+        let is_fair = bulk >= 0.35 && first >= 0.01 && second >= 0.01;
+        if is_fair {
+            break;
+        }
+        assert!(attempt < ATTEMPTS, "the bulk flow keeps {bulk:.3}");
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn later_bulk_flow_gets_a_third_of_the_bottleneck() {
-    fair(shares(false).await);
+    fair(false).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn later_sessions_leave_a_third_to_the_bulk_flow() {
-    fair(shares(true).await);
+    fair(true).await;
 }
