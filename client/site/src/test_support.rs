@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use palpate_device::{DeviceCaps, Workspace};
-use palpate_tissue::{Material, Model, block, Vec3};
+use palpate_tissue::{Material, Model, Vec3, block};
 
 /// A soft block of cells of 4 mm on a pinned base.
 pub(crate) fn soft_block(cells: [usize; 3]) -> Arc<Model> {

@@ -103,7 +103,11 @@ mod tests {
                 model = replica.haptic_step(now, Some(&tool), &[], Budget::new(4, 1e-2));
             }
             let sample = Sample {
-                velocity: if moved_s > 0.0 { velocity } else { Vector3::zeros() },
+                velocity: if moved_s > 0.0 {
+                    velocity
+                } else {
+                    Vector3::zeros()
+                },
                 ..Sample::resting(DeviceTime::from_micros(1000 * ms), Pose::at(tool.position))
             };
             tick = Some(chain.tick(now, &sample, &model));

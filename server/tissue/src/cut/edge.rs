@@ -17,8 +17,8 @@ use crate::{Shape, Topology, Vec3};
 
 /// Halvings of a piece of the edge in which the tissue changes: to a hundredth of its length.
 const HALVINGS: usize = 7;
-/// Most cells between two points of the edge.
-const WALK_MAX: usize = 64;
+/// Most cells that a search expands; the next point of an edge is a cell away at most.
+const SEARCH_MAX: usize = 32;
 /// How far outside a cell a point may be by rounding, in cells.
 const ROUNDING: f64 = 1e-9;
 /// Greatest distance of a point in a wound from either side, in cells. A wider wound holds no edge.
@@ -41,12 +41,12 @@ pub fn edge_resistances<const N: usize>(
     blade: &BladePoint,
     near: &mut Option<u32>,
 ) -> [EdgeResistance; N] {
-    let mut walk = Walk {
+    let mut search = Search {
         topology,
         shape,
         cell: None,
     };
-    let mut at = |along_m: f64| walk.toughness(blade.tip + blade.axis * along_m, near);
+    let mut at = |along_m: f64| search.toughness(blade.tip + blade.axis * along_m, near);
     let length_m = blade.depth_m / N as f64;
     let mut from = at(0.0);
     let mut pieces = [EdgeResistance::default(); N];
@@ -72,23 +72,25 @@ pub fn edge_resistances<const N: usize>(
         piece.newtons = newtons.iter().sum();
         if piece.newtons > 0.0 {
             let moment = parts.iter().zip(newtons);
-            piece.along_m =
-                moment.map(|((_, low, high), n)| n * 0.5 * (low + high)).sum::<f64>() / piece.newtons;
+            piece.along_m = moment
+                .map(|((_, low, high), n)| n * 0.5 * (low + high))
+                .sum::<f64>()
+                / piece.newtons;
         }
         from = to;
     }
     pieces
 }
 
-/// A walk from cell to cell across the uncut lattice.
-struct Walk<'a> {
+/// The search for the cells of the edge's points, each from that of the point before.
+struct Search<'a> {
     topology: &'a Topology,
     shape: &'a Shape,
     /// The cell of the latest point in the tissue.
     cell: Option<u32>,
 }
 
-impl Walk<'_> {
+impl Search<'_> {
     /// Toughness at a point in J/m²; 0 outside the tissue.
     fn toughness(&mut self, world: Vec3, near: &mut Option<u32>) -> f64 {
         let cells = self.topology.cell_count();
@@ -102,37 +104,76 @@ impl Walk<'_> {
         if let Some(cell) = end {
             self.cell = end;
             *near = end;
-            return self.topology.model.material_of(cell as usize).toughness_j_m2;
+            return self
+                .topology
+                .model
+                .material_of(cell as usize)
+                .toughness_j_m2;
         }
         0.0
     }
 
-    /// The cell that contains a point, or borders on the wound that does; searched from a cell on.
-    fn cell_at(&self, mut cell: u32, world: &Vec3) -> Option<u32> {
-        let mut nearest = f64::INFINITY;
-        for _ in 0..WALK_MAX {
-            let nodes = self.topology.corners(cell);
-            let deformed = nodes.map(|n| self.shape.position(self.topology, n));
-            let local = invert(&deformed, world)?;
-            let out = local.map(|v| (v - 0.5).abs() - 0.5);
-            let outside = out.max().max(0.0);
-            // Back and forth between two cells: the point is in a wound.
-            if outside <= ROUNDING || (outside >= nearest && nearest <= GAP_MAX) {
-                return Some(cell);
+    /// The cell that contains a point, or borders on the wound that does; searched from a cell on, those nearest to the
+    /// point first.
+    fn cell_at(&self, from: u32, world: &Vec3) -> Option<u32> {
+        let mut seen = vec![from];
+        let mut best = self.visit(from, world);
+        let mut open = vec![best];
+        for _ in 0..SEARCH_MAX {
+            let nearest =
+                (0..open.len()).min_by(|&a, &b| open[a].outside.total_cmp(&open[b].outside));
+            let Some(nearest) = nearest else { break };
+            let visit = open.swap_remove(nearest);
+            if visit.outside < best.outside {
+                best = visit;
             }
-            if outside >= nearest {
-                return None;
+            if best.outside <= ROUNDING {
+                break;
             }
-            nearest = outside;
-            let axis = out.imax();
-            let face = 2 * axis + usize::from(local[axis] > 0.5);
-            cell = self.topology.model.cells[cell as usize].neighbours[face];
-            if cell == NO_CELL {
-                return None;
+            for next in self.neighbours(visit.cell) {
+                if next != NO_CELL && !seen.contains(&next) {
+                    seen.push(next);
+                    open.push(self.visit(next, world));
+                }
             }
         }
-        None
+        let is_inside = best.outside <= ROUNDING;
+        // A point outside of its nearest cell is in a wound if the uncut tissue goes on there.
+        let goes_on = |axis: usize| {
+            let face = 2 * axis + usize::from(best.local[axis] > 0.5);
+            self.neighbours(best.cell)[face] != NO_CELL
+        };
+        let mut beyond = (0..3).filter(|&axis| (best.local[axis] - 0.5).abs() > 0.5 + ROUNDING);
+        (is_inside || best.outside <= GAP_MAX && beyond.all(goes_on)).then_some(best.cell)
     }
+
+    /// The neighbours of a cell in the uncut tissue.
+    fn neighbours(&self, cell: u32) -> [u32; 6] {
+        self.topology.model.cells[cell as usize].neighbours
+    }
+
+    /// Where a point lies in a cell. Of a cell too distorted to tell, it is a cell away.
+    fn visit(&self, cell: u32, world: &Vec3) -> Visit {
+        let nodes = self.topology.corners(cell);
+        let deformed = nodes.map(|n| self.shape.position(self.topology, n));
+        let local = invert(&deformed, world).unwrap_or(Vec3::repeat(2.0));
+        let outside = local.map(|v| (v - 0.5).abs() - 0.5).max().max(0.0);
+        Visit {
+            cell,
+            local,
+            outside,
+        }
+    }
+}
+
+/// A cell that was searched.
+#[derive(Debug, Clone, Copy)]
+struct Visit {
+    cell: u32,
+    /// The point in the coordinates of the cell.
+    local: Vec3,
+    /// Its distance from the cell, in cells.
+    outside: f64,
 }
 
 #[cfg(test)]
@@ -205,7 +246,8 @@ mod tests {
                     let is_left = cells.iter().filter(|&&c| c != NO_CELL);
                     let x = is_left.map(|&c| topology.centre(c).x).sum::<f64>();
                     let count = cells.iter().filter(|&&c| c != NO_CELL).count() as f64;
-                    shape.displacement[node as usize].x = open_m / 2.0 * (x / count - 20e-3).signum();
+                    shape.displacement[node as usize].x =
+                        open_m / 2.0 * (x / count - 20e-3).signum();
                 }
             }
             let (force, _) = total(&topology, &shape, &point(20e-3));
@@ -217,7 +259,11 @@ mod tests {
     fn edge_beside_the_tissue_has_no_resistance() {
         let topology = layered(100.0);
         let shape = Shape::rest(&topology);
-        let beside = |tip| BladePoint { tip, axis: Vec3::z(), depth_m: 20e-3 };
+        let beside = |tip| BladePoint {
+            tip,
+            axis: Vec3::z(),
+            depth_m: 20e-3,
+        };
         for tip in [
             Vec3::new(50e-3, 20e-3, 5e-3),
             Vec3::new(20e-3, 20e-3, 33e-3),
