@@ -1,12 +1,13 @@
-//! Contact points of a cutting blade.
+//! Contact point of a cutting blade.
 //!
-//! The tissue holds the edge back with the force of [`edge_resistances`] against any motion across the edge. For the force
-//! loop each piece of the edge is a contact point that the tissue squeezes from all sides across the edge: no normal force,
-//! and dry friction with the resistance as its limit (both coefficients are one). Its tie is the tissue before the edge,
-//! which yields by [`YIELD_M`] before it parts.
+//! The tissue holds the edge back with the force of [`edge_resistance`] against any motion across the edge. For the force
+//! loop that is one contact point that the tissue squeezes from all sides across the edge: no normal force, and dry friction
+//! with the resistance as its limit (both coefficients are one). Its tie is the tissue before the edge, which yields by
+//! [`YIELD_M`] before it parts. One point for the whole edge, because layers pass along the edge of a blade that goes deeper,
+//! and each new point would begin without stretch.
 
-use palpate_haptics::{CONTACTS_MAX, ContactModel, Touch};
-use palpate_tissue::{BladePoint, Tissue, edge_resistances};
+use palpate_haptics::{ContactModel, Touch};
+use palpate_tissue::{BladePoint, Tissue, Vec3, edge_resistance};
 
 use super::contact_model::MODEL_RADIUS_M;
 use crate::tools::ToolAt;
@@ -24,31 +25,29 @@ pub(super) struct CuttingForce {
 impl CuttingForce {
     /// Adds the resistance of the tissue against a blade that cuts to the model of its contacts.
     pub(super) fn add_to(&mut self, model: &mut ContactModel, tissue: &Tissue, tool: &ToolAt) {
-        let axis = tool.orientation * palpate_tissue::Vec3::z();
+        let axis = tool.orientation * Vec3::z();
         let blade = BladePoint {
             tip: tool.position,
             axis,
             depth_m: tool.description.length_m,
         };
-        let pieces: [_; CONTACTS_MAX] =
-            edge_resistances(tissue.topology(), tissue.shape(), &blade, &mut self.near);
+        let edge = edge_resistance(tissue.topology(), tissue.shape(), &blade, &mut self.near);
+        if edge.newtons <= 0.0 {
+            return;
+        }
         model.x0 = tool.position;
         model.turn0 = tool.orientation;
         model.radius = MODEL_RADIUS_M;
-        for (touch, piece) in model.touches.iter_mut().zip(pieces) {
-            if piece.newtons > 0.0 {
-                *touch = Touch {
-                    touches: true,
-                    lever: axis * piece.along_m,
-                    tangential_stiffness: piece.newtons / YIELD_M,
-                    normal: axis,
-                    pressed_n: piece.newtons,
-                    mu_static: 1.0,
-                    mu_dynamic: 1.0,
-                    ..Touch::NONE
-                };
-            }
-        }
+        model.touches[0] = Touch {
+            touches: true,
+            lever: axis * edge.along_m,
+            tangential_stiffness: edge.newtons / YIELD_M,
+            normal: axis,
+            pressed_n: edge.newtons,
+            mu_static: 1.0,
+            mu_dynamic: 1.0,
+            ..Touch::NONE
+        };
     }
 }
 
@@ -61,7 +60,7 @@ mod tests {
     use palpate_haptics::{Chain, ChainConfig, Tick};
     use palpate_protocol::tool::ToolDescription;
     use palpate_protocol::{ClientTime, ParticipantId};
-    use palpate_tissue::{Budget, Model, Vec3};
+    use palpate_tissue::{Budget, Model};
     use proptest::prelude::*;
 
     use super::*;

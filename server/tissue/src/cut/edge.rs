@@ -15,6 +15,10 @@ use super::{BladePoint, to_rest};
 use crate::cell::NO_CELL;
 use crate::{Shape, Topology, Vec3};
 
+/// Length of a piece of the edge in which the tissue may change once, in spacings: half of the thinnest layer.
+const PIECE: f64 = 0.5;
+/// Most pieces; beyond them, those of a long edge are longer.
+const PIECES_MAX: f64 = 64.0;
 /// Halvings of a piece of the edge in which the tissue changes: to a hundredth of its length.
 const HALVINGS: usize = 7;
 /// Most cells that a search expands; the next point of an edge is a cell away at most.
@@ -24,7 +28,7 @@ const ROUNDING: f64 = 1e-9;
 /// Greatest distance of a point in a wound from either side, in cells. A wider wound holds no edge.
 const GAP_MAX: f64 = 0.5;
 
-/// The resistance of one piece of the edge.
+/// The resistance against the edge of a blade.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct EdgeResistance {
     /// Force against any motion across the edge, N.
@@ -33,53 +37,49 @@ pub struct EdgeResistance {
     pub along_m: f64,
 }
 
-/// The resistances of `N` equal pieces of a blade's edge in the deformed shape, from its tip. `near` is a cell near the
-/// edge, if one is known, and becomes the latest one.
-pub fn edge_resistances<const N: usize>(
+/// The resistance against a blade in the deformed shape. `near` is a cell near the edge, if one is known, and becomes the
+/// latest one.
+pub fn edge_resistance(
     topology: &Topology,
     shape: &Shape,
     blade: &BladePoint,
     near: &mut Option<u32>,
-) -> [EdgeResistance; N] {
+) -> EdgeResistance {
     let mut search = Search {
         topology,
         shape,
         cell: None,
     };
     let mut at = |along_m: f64| search.toughness(blade.tip + blade.axis * along_m, near);
-    let length_m = blade.depth_m / N as f64;
+    let (mut newtons, mut moment) = (0.0, 0.0);
+    let mut add = |toughness: f64, from: f64, to: f64| {
+        newtons += toughness * (to - from);
+        moment += toughness * (to * to - from * from) / 2.0;
+    };
     let mut from = at(0.0);
-    let mut pieces = [EdgeResistance::default(); N];
-    for (i, piece) in pieces.iter_mut().enumerate() {
-        let mut low = i as f64 * length_m;
-        let end = low + length_m;
+    let pieces = blade.depth_m / (PIECE * topology.model.spacing_m);
+    let pieces = pieces.ceil().clamp(1.0, PIECES_MAX) as usize;
+    for i in 0..pieces {
+        let [begin, end] = [i, i + 1].map(|i| blade.depth_m * i as f64 / pieces as f64);
         let to = at(end);
-        let mut high = end;
+        let mut change = begin;
         if from != to {
-            let begin = low;
+            let mut step = end - begin;
             for _ in 0..HALVINGS {
-                let middle = 0.5 * (low + high);
-                if at(middle) == from {
-                    low = middle;
-                } else {
-                    high = middle;
+                step *= 0.5;
+                if at(change + step) == from {
+                    change += step;
                 }
             }
-            (low, high) = (begin, 0.5 * (low + high));
         }
-        let parts = [(from, low, high), (to, high, end)];
-        let newtons = parts.map(|(toughness, low, high)| toughness * (high - low));
-        piece.newtons = newtons.iter().sum();
-        if piece.newtons > 0.0 {
-            let moment = parts.iter().zip(newtons);
-            piece.along_m = moment
-                .map(|((_, low, high), n)| n * 0.5 * (low + high))
-                .sum::<f64>()
-                / piece.newtons;
-        }
+        add(from, begin, change);
+        add(to, change, end);
         from = to;
     }
-    pieces
+    EdgeResistance {
+        newtons,
+        along_m: if newtons > 0.0 { moment / newtons } else { 0.0 },
+    }
 }
 
 /// The search for the cells of the edge's points, each from that of the point before.
@@ -196,10 +196,8 @@ mod tests {
     }
 
     fn total(topology: &Topology, shape: &Shape, blade: &BladePoint) -> (f64, f64) {
-        let pieces: [EdgeResistance; 16] = edge_resistances(topology, shape, blade, &mut None);
-        let newtons = pieces.iter().map(|p| p.newtons).sum();
-        let moment = pieces.iter().map(|p| p.newtons * p.along_m).sum();
-        (newtons, moment)
+        let edge = edge_resistance(topology, shape, blade, &mut None);
+        (edge.newtons, edge.newtons * edge.along_m)
     }
 
     proptest! {
