@@ -215,8 +215,8 @@ mod tests {
             let force = 100.0 * between + 1_000.0 * (top - between);
             let moment = 50.0 * between.powi(2) + 500.0 * (top.powi(2) - between.powi(2));
             let (newtons, about_tip) = total(&topology, &shape, &blade);
-            // The place of each change is known to a hundredth of a piece.
-            let off = 1_000.0 * length / 16.0 / 100.0;
+            // The place of each change is known to 1/128 of a piece of half a spacing.
+            let off = 1_000.0 * 2e-3 / 128.0;
             prop_assert!((newtons - force).abs() < 2.0 * off, "{newtons} {force}");
             prop_assert!((about_tip - moment).abs() < 2.0 * off * length, "{about_tip} {moment}");
         }
