@@ -119,7 +119,7 @@ mod tests {
         /// Across the edge, the force against the motion is toughness times depth, at any speed.
         #[test]
         fn force_of_a_drawn_blade_is_toughness_times_depth(
-            depth in 2e-3..12e-3f64, angle in 0.0..6.28f64, speed in 0.01..0.1f64,
+            depth in 2e-3..12e-3f64, angle in 0.0..std::f64::consts::TAU, speed in 0.01..0.1f64,
         ) {
             let direction = Vec3::new(angle.cos(), angle.sin(), 0.0);
             let tick = drawn(depth, direction * speed);
