@@ -40,6 +40,7 @@ A scene names closed surfaces, or the labels of a segmentation. Surfaces are loo
   density_kg_m3 = 950.0
   friction_static = 0.4
   friction_dynamic = 0.3
+  toughness_j_m2 = 200.0              # against a sharp blade: a cut 10 mm deep takes 2 N
 
 A [[region]] takes the keys of a material too, for itself alone.";
 

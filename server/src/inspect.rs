@@ -223,6 +223,7 @@ fn materials(file: &ModelFile) -> Value {
                 "density_kg_m3": r.material.density_kg_m3,
                 "friction_static": r.material.friction_static,
                 "friction_dynamic": r.material.friction_dynamic,
+                "toughness_j_m2": r.material.toughness_j_m2,
                 "pinned": r.pinned,
                 "source": r.material.source,
             })

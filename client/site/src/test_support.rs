@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use palpate_tissue::{Material, Model, block};
+use palpate_device::{DeviceCaps, Workspace};
+use palpate_tissue::{Material, Model, Vec3, block};
 
 /// A soft block of cells of 4 mm on a pinned base.
 pub(crate) fn soft_block(cells: [usize; 3]) -> Arc<Model> {
@@ -40,5 +41,23 @@ pub(crate) fn check_transitions(
     for row in &rows {
         assert!(states.contains(&row[1]), "there is no state {}", row[1]);
         assert_eq!(run(row[1], row[2]), row[3], "{}, {}", row[1], row[2]);
+    }
+}
+
+/// A device of three axes that renders 10 N.
+pub(crate) fn caps() -> DeviceCaps {
+    DeviceCaps {
+        name: "test".to_owned(),
+        dof_in: 6,
+        dof_out: 3,
+        workspace: Workspace {
+            min: Vec3::repeat(-1.0),
+            max: Vec3::repeat(1.0),
+        },
+        max_force_n: 20.0,
+        continuous_force_n: 10.0,
+        max_torque_nm: 0.0,
+        max_stiffness_n_per_m: 3000.0,
+        rate_hz: 1000.0,
     }
 }

@@ -61,8 +61,8 @@ pub use block::block;
 pub use cell::Cell;
 pub use contact::{Clearance, ContactPatch, Form, Reaction, Tool};
 pub use cut::{
-    BladePoint, CutError, CutOutcome, CutStroke, Moved, RestPoint, StrokePart, SweptSurface, cut,
-    to_rest,
+    BladePoint, CutError, CutOutcome, CutStroke, EdgeResistance, Moved, RestPoint, StrokePart,
+    SweptSurface, cut, edge_resistance, to_rest,
 };
 pub use cut_history::CutHistory;
 pub use equilibrium::{Budget, CutPreparer, Mechanism, PreparedCut, Retired, Sag, StepReport};

@@ -47,6 +47,9 @@ pub struct Material {
     pub friction_static: f64,
     /// Coefficient of dynamic friction against a tool; not above the static one.
     pub friction_dynamic: f64,
+    /// Fracture toughness against a sharp blade in J/m², the work per area of the cut: an edge that cuts feels this force per
+    /// length in N/m.
+    pub toughness_j_m2: f64,
     /// Source of the values.
     pub source: String,
 }
@@ -78,6 +81,7 @@ impl Default for Material {
             density_kg_m3: 1000.0,
             friction_static: FRICTION_DEFAULT[0],
             friction_dynamic: FRICTION_DEFAULT[1],
+            toughness_j_m2: TOUGHNESS_DEFAULT_J_M2,
             source: "round numbers".to_owned(),
         }
     }
@@ -108,11 +112,13 @@ pub struct MaterialOverride {
     pub friction_static: Option<f64>,
     /// Coefficient of dynamic friction.
     pub friction_dynamic: Option<f64>,
+    /// Fracture toughness in J/m².
+    pub toughness_j_m2: Option<f64>,
 }
 
 impl MaterialOverride {
     /// Its numbers by scene key, in the units of a scene, in writing order.
-    pub fn numbers(&self) -> [(&'static str, Option<f64>); 9] {
+    pub fn numbers(&self) -> [(&'static str, Option<f64>); 10] {
         [
             ("young_kpa", self.young_pa.map(|pa| pa * 1e-3)),
             ("poisson", self.poisson),
@@ -123,6 +129,7 @@ impl MaterialOverride {
             ("density_kg_m3", self.density_kg_m3),
             ("friction_static", self.friction_static),
             ("friction_dynamic", self.friction_dynamic),
+            ("toughness_j_m2", self.toughness_j_m2),
         ]
     }
 }
@@ -138,6 +145,10 @@ pub(crate) const DENSITY_KG_M3_RANGE: [f64; 2] = [1.0, 25_000.0];
 /// Largest coefficient of friction. Reason: clean rubber reaches about 2; no material that a tool touches is
 /// above 5. Above it the material is rejected.
 pub(crate) const FRICTION_MAX: f64 = 5.0;
+
+/// Range of the fracture toughness in J/m². Reason: gels are at 1, steel is at 1e5 and cut by no hand. Outside the range the
+/// material is rejected.
+pub(crate) const TOUGHNESS_J_M2_RANGE: [f64; 2] = [0.0, 1e5];
 
 /// Range of Poisson's ratio. Reason: below 0.25 the volume term would have a negative stiffness. At 0.5 the
 /// stiffness would be infinite; at 0.49 it is 48 times that of the springs. Outside the range the material is
@@ -171,6 +182,9 @@ const STRETCH_LIMIT_DEFAULT: f64 = 3.0;
 /// Default friction of a new material.
 const FRICTION_DEFAULT: [f64; 2] = [0.4, 0.3];
 
+/// Default toughness of a new material: that of liver under a blade, the best measured soft tissue.
+const TOUGHNESS_DEFAULT_J_M2: f64 = 200.0;
+
 /// Why a material was rejected, with the remedy.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("{0}")]
@@ -183,7 +197,7 @@ impl Material {
     }
 
     /// Its numbers, in the order in which files and hashes have them.
-    pub(crate) fn numbers(&self) -> [f64; 9] {
+    pub(crate) fn numbers(&self) -> [f64; 10] {
         // Destructured, so that a new field of a material cannot be forgotten here.
         let Self {
             name: _,
@@ -198,6 +212,7 @@ impl Material {
             density_kg_m3,
             friction_static,
             friction_dynamic,
+            toughness_j_m2,
             source: _,
         } = *self;
         [
@@ -210,6 +225,7 @@ impl Material {
             density_kg_m3,
             friction_static,
             friction_dynamic,
+            toughness_j_m2,
         ]
     }
 
@@ -272,6 +288,7 @@ impl Material {
         let [statik, dynamic] = [change.friction_static, change.friction_dynamic];
         self.friction_static = statik.unwrap_or(self.friction_static.max(dynamic.unwrap_or(0.0)));
         self.friction_dynamic = dynamic.unwrap_or(self.friction_dynamic.min(self.friction_static));
+        self.toughness_j_m2 = change.toughness_j_m2.unwrap_or(self.toughness_j_m2);
         self.source = format!("{by}: {}", self.source);
         self.checked()
     }
@@ -304,7 +321,7 @@ impl Material {
     }
 
     /// Each number with its scene key, its range, and its unit in a scene.
-    fn ranges(&self) -> [(&'static str, f64, [f64; 2], &'static str); 8] {
+    fn ranges(&self) -> [(&'static str, f64, [f64; 2], &'static str); 9] {
         let young_kpa = YOUNG_PA_RANGE.map(|pa| pa * 1e-3);
         let friction = [0.0, FRICTION_MAX];
         [
@@ -326,6 +343,12 @@ impl Material {
                 " kg/m³",
             ),
             ("friction_static", self.friction_static, friction, ""),
+            (
+                "toughness_j_m2",
+                self.toughness_j_m2,
+                TOUGHNESS_J_M2_RANGE,
+                " J/m²",
+            ),
         ]
     }
 }

@@ -17,6 +17,7 @@ fn rubber() -> Material {
         density_kg_m3: 1100.0,
         friction_static: 0.5,
         friction_dynamic: 0.4,
+        toughness_j_m2: 700.0,
         fibre_ratio: 2.5,
         fibre_axis: FibreAxis::Given([1.0, 2.0, -2.0]),
         stiffening: 4.0,

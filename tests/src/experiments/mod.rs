@@ -6,6 +6,7 @@
 
 mod atc;
 pub mod command;
+mod cut_force;
 mod cut_methods;
 mod friction;
 pub mod gallery;

@@ -2,8 +2,8 @@
 
 use super::inputs::Input::{self, Model, Motion, Profile, Real, Seed, Seeds};
 use super::{
-    Bench, Outcome, atc, cut_methods, friction, handle, leg_press, missing_data, press, replicas,
-    scale, soft_hard, table_7_1, thin, tool_paths,
+    Bench, Outcome, atc, cut_force, cut_methods, friction, handle, leg_press, missing_data, press,
+    replicas, scale, soft_hard, table_7_1, thin, tool_paths,
 };
 
 #[derive(Debug, Clone, Copy)]
@@ -45,6 +45,8 @@ pub const ALL: &[Experiment] = experiments! {
         "a leg with rigid bones pressed over muscle and over bone (fig 7.11)";
     "cut-methods", 6.0, [], Work::Experiment(cut_methods::run),
         "one stroke by element removal, subdivision, subdivision with snapping, and a sheet (fig 2.3)";
+    "cut-force", 8.0, [], Work::Experiment(cut_force::run),
+        "force of a blade that cuts skin, fat, muscle and liver, and its work per area of the wound";
     "press", 135.0, [Model], Work::Experiment(press::run),
         "force error of the haptic path: a ball and a line pressed at 100 mm/s, the line then dragged";
     "atc-none", 6.1, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::none),

@@ -9,6 +9,7 @@
 //! operations and solve for the same times have equal shapes. Pure: no thread, no clock.
 
 mod contact_model;
+mod cutting_force;
 mod history;
 mod prefetch;
 mod thin_view;
@@ -28,6 +29,7 @@ use palpate_tissue::{
 
 use crate::tools::{ToolAt, gather, tissue_stroke};
 use contact_model::{contact_model, unusable};
+use cutting_force::CuttingForce;
 use prefetch::change_checked;
 
 pub use prefetch::{CutOrder, MadeCut, Prefetch, ReplicaError};
@@ -104,6 +106,7 @@ pub struct Replica {
     replay: Option<(Arc<Topology>, CutHistory)>,
     tools: Vec<Tool>,
     others: ExternalWork,
+    cutting: CuttingForce,
 }
 
 impl Replica {
@@ -121,6 +124,7 @@ impl Replica {
             replay: None,
             tools: Vec::new(),
             others: ExternalWork::default(),
+            cutting: CuttingForce::default(),
         }
     }
 
@@ -137,6 +141,7 @@ impl Replica {
             replay: None,
             tools: Vec::new(),
             others: ExternalWork::default(),
+            cutting: CuttingForce::default(),
         }
     }
 
@@ -264,8 +269,11 @@ impl Replica {
     }
 
     /// Moves a tool that touched nothing in the latest solve, without a solve. Returns whether it still touches
-    /// nothing.
+    /// nothing; a cutting blade may meet tissue anywhere.
     pub(crate) fn move_free(&mut self, tool: &ToolAt) -> bool {
+        if tool.is_cutting() {
+            return false;
+        }
         let Some(tissue) = self.haptic.tissue_mut() else {
             return false;
         };
@@ -300,7 +308,10 @@ impl Replica {
         self.others
             .note(report.reactions.iter().filter(|r| !is_own(r)));
         let parts: Vec<&Reaction> = report.reactions.iter().filter(is_own).collect();
-        let model = contact_model(now, version, &parts);
+        let mut model = contact_model(now, version, &parts);
+        if let Some(blade) = own.filter(|own| own.is_cutting() && !own.stale) {
+            self.cutting.add_to(&mut model, tissue, blade);
+        }
         ContactModel {
             external_work_j: self.others.work_j,
             ..model

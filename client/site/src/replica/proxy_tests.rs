@@ -1,12 +1,12 @@
-use nalgebra::{UnitQuaternion, Vector3};
-use palpate_device::{DeviceCaps, DeviceTime, Pose, Sample, Workspace};
+use nalgebra::UnitQuaternion;
+use palpate_device::{DeviceTime, Pose, Sample};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Tick};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{ClientTime, ParticipantId, ServerTime};
 use palpate_tissue::{Budget, Vec3};
 
 use super::*;
-use crate::test_support::soft_block;
+use crate::test_support::{caps, soft_block};
 
 const CELL: f64 = 4e-3;
 const RADIUS: f64 = 6e-3;
@@ -27,21 +27,7 @@ fn tool(depth: f64) -> ToolAt {
 
 /// The last tick of a hand that holds the tool for two seconds.
 fn held(own: &ToolAt, model: &ContactModel) -> Tick {
-    let caps = DeviceCaps {
-        name: "test".to_owned(),
-        dof_in: 6,
-        dof_out: 3,
-        workspace: Workspace {
-            min: Vector3::repeat(-1.0),
-            max: Vector3::repeat(1.0),
-        },
-        max_force_n: 20.0,
-        continuous_force_n: 10.0,
-        max_torque_nm: 0.0,
-        max_stiffness_n_per_m: 3000.0,
-        rate_hz: 1000.0,
-    };
-    let mut chain = Chain::new(ChainConfig::default(), &caps);
+    let mut chain = Chain::new(ChainConfig::default(), &caps());
     let sample = Sample::resting(DeviceTime::ZERO, Pose::at(own.position));
     let tick = |ms: i64| {
         let now = ClientTime::from_micros(1000 * ms);

@@ -11,7 +11,7 @@ use super::keys::Text;
 use crate::InputError;
 
 /// Keys that change a material, in `[material.NAME]` and in `[[region]]` alike.
-pub(super) const MATERIAL_KEYS: [&str; 11] = [
+pub(super) const MATERIAL_KEYS: [&str; 12] = [
     "young_kpa",
     "poisson",
     "stiffening",
@@ -23,6 +23,7 @@ pub(super) const MATERIAL_KEYS: [&str; 11] = [
     "density_kg_m3",
     "friction_static",
     "friction_dynamic",
+    "toughness_j_m2",
 ];
 
 /// The `[material.NAME]` tables of a scene.
@@ -70,6 +71,7 @@ pub(super) fn change(text: &Text, table: &DeTable) -> Result<MaterialOverride, I
         density_kg_m3: number("density_kg_m3")?,
         friction_static: number("friction_static")?,
         friction_dynamic: number("friction_dynamic")?,
+        toughness_j_m2: number("toughness_j_m2")?,
     })
 }
 

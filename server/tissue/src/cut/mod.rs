@@ -21,6 +21,7 @@
 //! patch.rs       nodes around a sheet     width.rs          the width of a wound
 //! freedom.rs     directions of a node     follow.rs         deformed shapes after a cut
 //! interface.rs   interfaces as built      swept_surface.rs  distances from it
+//! edge.rs        resistance along the edge
 //! ```
 //!
 //! Everything runs in one order that depends on the topology and the stroke alone: the same strokes
@@ -30,6 +31,7 @@ mod bounded_moves;
 mod cell_fans;
 mod cell_index;
 mod components;
+mod edge;
 mod follow;
 mod freedom;
 mod interface;
@@ -51,6 +53,7 @@ mod width;
 use std::collections::{BTreeSet, HashMap};
 
 pub(crate) use cell_index::CutIndex;
+pub use edge::{EdgeResistance, edge_resistance};
 pub use follow::Moved;
 pub(crate) use part::derive_around;
 pub use stroke::{

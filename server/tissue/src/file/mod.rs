@@ -36,7 +36,7 @@ use crate::{Cell, FibreAxis, Material, Model, Region, RegionId, Vec3};
 
 const MAGIC: [u8; 8] = *b"palpmodl";
 /// Version of the model format that this program writes and reads.
-pub const MODEL_FORMAT: u32 = 3;
+pub const MODEL_FORMAT: u32 = 4;
 /// Flag bits of a material: it has a fibre direction, which follows; it bottoms out.
 const GIVEN_AXIS: u8 = 1;
 const BOTTOMS_OUT: u8 = 2;
@@ -250,6 +250,7 @@ fn read_material(reader: &mut Reader<'_>) -> Result<Material, Short> {
         density_kg_m3: reader.f64()?,
         friction_static: reader.f64()?,
         friction_dynamic: reader.f64()?,
+        toughness_j_m2: reader.f64()?,
         source: reader.text()?,
     })
 }

@@ -4,6 +4,7 @@ use crate::Model;
 use crate::cell::{EDGES, FACES, NO_CELL};
 use crate::material::{
     COMPRESS_LIMIT_RANGE, FIBRE_RATIO_RANGE, POISSON_RANGE, STIFFENING_RANGE, STRETCH_LIMIT_RANGE,
+    TOUGHNESS_J_M2_RANGE,
 };
 
 /// Most nodes of a model. At 16 million a topology takes about 12 GiB; a file with more is rejected.
@@ -81,6 +82,7 @@ fn check_regions(model: &Model) -> Result<(), String> {
             && DENSITY_RANGE_KG_M3.contains(&m.density_kg_m3)
             && FRICTION_RANGE.contains(&m.friction_static)
             && FRICTION_RANGE.contains(&m.friction_dynamic)
+            && within(TOUGHNESS_J_M2_RANGE, m.toughness_j_m2)
             && within(POISSON_RANGE, m.poisson)
             && within(STIFFENING_RANGE, m.stiffening)
             && within(FIBRE_RATIO_RANGE, m.fibre_ratio)

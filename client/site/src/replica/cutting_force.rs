@@ -1,0 +1,138 @@
+//! Contact point of a cutting blade.
+//!
+//! The tissue holds the edge back with the force of [`edge_resistance`] against any motion across the edge. For the force
+//! loop that is one contact point that the tissue squeezes from all sides across the edge: no normal force, and dry friction
+//! with the resistance as its limit (both coefficients are one). Its tie is the tissue before the edge, which yields by
+//! [`YIELD_M`] before it parts. One point for the whole edge, because layers pass along the edge of a blade that goes deeper,
+//! and each new point would begin without stretch.
+
+use palpate_haptics::{ContactModel, Touch};
+use palpate_tissue::{BladePoint, Tissue, Vec3, edge_resistance};
+
+use super::contact_model::MODEL_RADIUS_M;
+use crate::tools::ToolAt;
+
+/// How far the edge pushes tissue before it parts, m: a cut of 2 N then pulls with 1 N/mm, which every device renders.
+const YIELD_M: f64 = 2e-3;
+
+/// The resistance against the edge of the own blade.
+#[derive(Debug, Default)]
+pub(super) struct CuttingForce {
+    /// A cell at the edge in the latest solve.
+    near: Option<u32>,
+}
+
+impl CuttingForce {
+    /// Adds the resistance of the tissue against a blade that cuts to the model of its contacts.
+    pub(super) fn add_to(&mut self, model: &mut ContactModel, tissue: &Tissue, tool: &ToolAt) {
+        let axis = tool.orientation * Vec3::z();
+        let blade = BladePoint {
+            tip: tool.position,
+            axis,
+            depth_m: tool.description.length_m,
+        };
+        let edge = edge_resistance(tissue.topology(), tissue.shape(), &blade, &mut self.near);
+        if edge.newtons <= 0.0 {
+            return;
+        }
+        model.x0 = tool.position;
+        model.turn0 = tool.orientation;
+        model.radius = MODEL_RADIUS_M;
+        model.touches[0] = Touch {
+            touches: true,
+            lever: axis * edge.along_m,
+            tangential_stiffness: edge.newtons / YIELD_M,
+            normal: axis,
+            pressed_n: edge.newtons,
+            mu_static: 1.0,
+            mu_dynamic: 1.0,
+            ..Touch::NONE
+        };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use nalgebra::{UnitQuaternion, Vector3};
+    use palpate_device::{DeviceTime, Pose, Sample};
+    use palpate_haptics::{Chain, ChainConfig, Tick};
+    use palpate_protocol::tool::ToolDescription;
+    use palpate_protocol::{ClientTime, ParticipantId};
+    use palpate_tissue::{Budget, Model};
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::replica::Replica;
+    use crate::test_support::{caps, soft_block};
+
+    const CELL_M: f64 = 4e-3;
+    const TOUGHNESS_J_M2: f64 = 150.0;
+
+    fn tissue() -> Arc<Model> {
+        let mut model = Arc::unwrap_or_clone(soft_block([12, 10, 6]));
+        for region in &mut model.regions {
+            region.material.toughness_j_m2 = TOUGHNESS_J_M2;
+        }
+        Arc::new(model)
+    }
+
+    /// The last tick of a blade that is drawn by `velocity` (m/s) through the middle of the block for 0.3 s, its tip at
+    /// `depth_m` and its button held.
+    fn drawn(depth_m: f64, velocity: Vec3) -> Tick {
+        let mut replica = Replica::new(tissue(), true);
+        let mut chain = Chain::new(ChainConfig::default(), &caps());
+        let begin = Vec3::new(6.1 * CELL_M, 5.0 * CELL_M, 6.0 * CELL_M - depth_m) - velocity * 0.2;
+        let mut model = ContactModel::FREE;
+        let mut tick = None;
+        for ms in 0..1500_i64 {
+            let now = ClientTime::from_micros(1000 * ms);
+            // The chain starts softly.
+            let moved_s = (ms - 1200).max(0) as f64 * 1e-3;
+            let tool = ToolAt {
+                participant: ParticipantId(1),
+                description: ToolDescription::scalpel(6e-3, 0.02),
+                position: begin + velocity * moved_s,
+                orientation: UnitQuaternion::identity(),
+                buttons: 1,
+                stale: false,
+            };
+            if ms % 4 == 0 {
+                model = replica.haptic_step(now, Some(&tool), &[], Budget::new(4, 1e-2));
+            }
+            let sample = Sample {
+                velocity: if moved_s > 0.0 {
+                    velocity
+                } else {
+                    Vector3::zeros()
+                },
+                ..Sample::resting(DeviceTime::from_micros(1000 * ms), Pose::at(tool.position))
+            };
+            tick = Some(chain.tick(now, &sample, &model));
+        }
+        tick.unwrap()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(8))]
+        /// Across the edge, the force against the motion is toughness times depth, at any speed.
+        #[test]
+        fn force_of_a_drawn_blade_is_toughness_times_depth(
+            depth in 2e-3..12e-3f64, angle in 0.0..std::f64::consts::TAU, speed in 0.01..0.1f64,
+        ) {
+            let direction = Vec3::new(angle.cos(), angle.sin(), 0.0);
+            let tick = drawn(depth, direction * speed);
+            let expected = direction * (-TOUGHNESS_J_M2 * depth);
+            let off = (tick.wrench.force - expected).norm() / expected.norm();
+            prop_assert!(off < 0.02, "{} {expected}", tick.wrench.force);
+            prop_assert_eq!(tick.proxy_offset, Vec3::zeros());
+        }
+    }
+
+    #[test]
+    fn resting_blade_and_blade_along_its_edge_feel_nothing() {
+        assert!(drawn(8e-3, Vec3::zeros()).wrench.force.norm() < 1e-9);
+        assert!(drawn(8e-3, Vec3::z() * 0.01).wrench.force.norm() < 1e-9);
+    }
+}
