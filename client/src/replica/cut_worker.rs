@@ -15,7 +15,7 @@ impl CutWorker {
     pub(crate) fn spawn(prefetch: Prefetch) -> std::io::Result<Self> {
         let (orders, received) = channel();
         let (results, news) = channel();
-        threads::spawn(ThreadClass::Background, "cuts", move || {
+        threads::spawn(ThreadClass::Cut, "cuts", move || {
             serve(prefetch, &received, &results);
         })?;
         Ok(Self { orders, news })

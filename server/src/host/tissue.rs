@@ -69,7 +69,7 @@ impl TissueThreads {
         })
         .map_err(io)?;
         let prepared = work.clone();
-        let cuts = threads::spawn(ThreadClass::Background, "cuts", move || {
+        let cuts = threads::spawn(ThreadClass::Cut, "cuts", move || {
             cut_all(cutter, &jobs_todo, &prepared, &answer)
         })
         .map_err(io)?;

@@ -6,7 +6,8 @@
 //! hand-solver  tissue under the own tool                 base - 1   2   of  4 ms
 //! network      sockets, session machines, motion relay   base - 2   5   of 10 ms
 //! server-tick  authoritative tissue                      base - 3   15  of 33 ms
-//! background   views, cuts, model building, statistics   ordinary   none
+//! cut          cuts of server and replica                base - 4   15  of 33 ms
+//! background   views, model building, statistics         ordinary   none
 //! ```
 //!
 //! The base is 80 under `SCHED_FIFO`, or the limit `RLIMIT_RTPRIO` of the user where that is lower. A
@@ -59,7 +60,9 @@ pub enum ThreadClass {
     Network,
     /// The solver of the authoritative tissue.
     ServerTick,
-    /// Views, cuts, model building, statistics.
+    /// Cuts of the authoritative tissue and of a replica.
+    Cut,
+    /// Views, model building, statistics.
     Background,
 }
 
@@ -76,11 +79,12 @@ pub struct RealTime {
 
 impl ThreadClass {
     /// All classes, the most urgent first.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Force,
         Self::HandSolver,
         Self::Network,
         Self::ServerTick,
+        Self::Cut,
         Self::Background,
     ];
 
@@ -91,6 +95,7 @@ impl ThreadClass {
             Self::HandSolver => "hand-solver",
             Self::Network => "network",
             Self::ServerTick => "server-tick",
+            Self::Cut => "cut",
             Self::Background => "background",
         }
     }
@@ -107,6 +112,7 @@ impl ThreadClass {
             Self::HandSolver => Some(class(1, 2_000, 4_000)),
             Self::Network => Some(class(2, 5_000, 10_000)),
             Self::ServerTick => Some(class(3, 15_000, 33_000)),
+            Self::Cut => Some(class(4, 15_000, 33_000)),
             Self::Background => None,
         }
     }
