@@ -54,6 +54,19 @@ impl CutHistory {
         &self.uncut
     }
 
+    /// Numbers of the strokes in effect, then of those taken back; the latest last.
+    pub fn stroke_numbers(&self) -> [Vec<u64>; 2] {
+        let mut done: Vec<u64> = Vec::new();
+        for stroke in self.done.iter().rev().filter_map(|part| part.stroke) {
+            if done.last() != Some(&stroke) && !done.contains(&stroke) {
+                done.push(stroke);
+            }
+        }
+        done.reverse();
+        let undone = self.undone.iter().flat_map(|stroke| stroke.first());
+        [done, undone.filter_map(|part| part.stroke).collect()]
+    }
+
     /// Parts of strokes in effect, in order.
     pub(crate) fn done(&self) -> &[Arc<StrokePart>] {
         &self.done

@@ -21,6 +21,7 @@ use palpate_haptics::ContactModel;
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::tool::part_owner;
 use palpate_protocol::{ClientTime, Span};
+use palpate_tissue::snapshot::restore;
 use palpate_tissue::{
     Budget, CutHistory, CutOutcome, Model, PreparedCut, Reaction, Retired, Shape, Tissue, Tool,
     Topology,
@@ -223,6 +224,33 @@ impl Replica {
         };
         view.take(*cut);
         Ok(None)
+    }
+
+    /// The strokes of the newest topology; `None` while the view is detached.
+    pub fn history(&self) -> Option<&CutHistory> {
+        if let Some((_, history)) = &self.replay {
+            return Some(history);
+        }
+        let thin = self.thin.as_ref().map(|thin| &thin.history);
+        thin.or_else(|| Some(self.view.as_ref()?.tissue().history()))
+    }
+
+    /// Restores a snapshot of the log before the join, in place of all earlier cuts. [`end_replay`](Self::end_replay)
+    /// follows.
+    pub(crate) fn restore(&mut self, snapshot: &[u8]) -> Result<(), ReplicaError> {
+        let Some(history) = self.history() else {
+            return Ok(());
+        };
+        let restored = restore(history.uncut(), snapshot);
+        let (topology, history) = restored.map_err(|e| ReplicaError::Snapshot(e.to_string()))?;
+        if let Some(thin) = &mut self.thin {
+            thin.view = ThinView::new(&topology);
+            thin.history = history;
+            self.haptic = HandTissue::Absent(topology);
+        } else {
+            self.replay = Some((topology, history));
+        }
+        Ok(())
     }
 
     /// Applies an operation of the log before the join to the topology alone. [`end_replay`](Self::end_replay) follows.

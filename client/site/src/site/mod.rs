@@ -221,6 +221,7 @@ impl Site {
 
     fn take_event(&mut self, event: ClientEvent, now: ClientTime) -> Result<(), SiteError> {
         match event {
+            ClientEvent::Snapshot(bytes) => self.replica.restore(&bytes)?,
             ClientEvent::Operation(operation) => self.handle_operation(operation, now)?,
             ClientEvent::CaughtUp => {
                 if let Some((version, hash)) = self.expected.take() {
@@ -495,6 +496,8 @@ impl Site {
 
 #[cfg(test)]
 mod controlled_tests;
+#[cfg(test)]
+mod snapshot_tests;
 #[cfg(test)]
 mod states;
 #[cfg(test)]

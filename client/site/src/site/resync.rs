@@ -1,6 +1,6 @@
-//! Resync: rebuilds the replica from the server's log, in the same seat.
+//! Resync: rebuilds the replica from the server's snapshot and log, in the same seat.
 //!
-//! The site requests the whole log with [`Site::poll_resync`] and ignores further events of the old connection. The
+//! The site requests both with [`Site::poll_resync`] and ignores further events of the old connection. The
 //! connection's owner resumes the seat without any operation. The next welcome resets the site to the uncut model.
 //! Until the log is applied there is no force ([`Site::is_resyncing`]).
 
