@@ -403,6 +403,7 @@ pub fn server_messages() -> Vec<Example<ServerMessage>> {
             "Welcome with snapshot",
             ServerMessage::Welcome(Box::new(late)),
         ),
+        example("Snapshot", ServerMessage::Snapshot(vec![1, 2, 3])),
         example("Refused", ServerMessage::Refused(full)),
     ];
     for (i, operation) in operations().into_iter().enumerate() {
@@ -424,7 +425,6 @@ pub fn server_messages() -> Vec<Example<ServerMessage>> {
         example("RequestRefused with words", refused(torn)),
         example("Goodbye", goodbye),
         example("Invitation", invitation),
-        example("Snapshot", ServerMessage::Snapshot(vec![1, 2, 3])),
     ]);
     all
 }

@@ -162,12 +162,21 @@ pub struct Site {
     session: SessionState,
 }
 
+/// The replica of a full subscriber who has nothing of the log yet.
+fn full_replica(welcome: &Welcome, model: Arc<Model>) -> Replica {
+    let with_hand = welcome.role.has_tool();
+    if welcome.topology_version == 0 {
+        Replica::new(model, with_hand)
+    } else {
+        Replica::before_replay(model, with_hand)
+    }
+}
+
 impl Site {
     /// A site after its welcome, with the uncut model. `blade_length_m` is the length of this participant's blade, if
     /// any.
     pub fn new(welcome: &Welcome, model: Arc<Model>, blade_length_m: Option<f64>) -> Self {
-        let replica = Replica::new(model, welcome.role.has_tool());
-        Self::with(welcome, replica, blade_length_m)
+        Self::with(welcome, full_replica(welcome, model), blade_length_m)
     }
 
     fn with(welcome: &Welcome, replica: Replica, blade_length_m: Option<f64>) -> Self {
