@@ -186,7 +186,7 @@ pub enum RequestRefusal {
     Demoted,
     /// The cuts are so many that new participants could not receive any more of them.
     #[error(
-        "the tissue has too many cuts for new participants to receive; ask the instructor to undo some or to reset the tissue"
+        "the tissue has too many cuts for new participants to receive; ask the instructor to reset the tissue"
     )]
     LogFull,
     /// The stroke lies where the tool can not have been.

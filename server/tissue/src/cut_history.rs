@@ -63,7 +63,7 @@ impl CutHistory {
             }
         }
         done.reverse();
-        let undone = self.undone.iter().flat_map(|stroke| stroke.first());
+        let undone = self.undone.iter().filter_map(|stroke| stroke.first());
         [done, undone.filter_map(|part| part.stroke).collect()]
     }
 

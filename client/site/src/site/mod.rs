@@ -97,7 +97,7 @@ pub enum ViewUpdate {
 pub struct SiteCounters {
     /// Operations applied.
     pub operations: u64,
-    /// Strokes that cut among them.
+    /// Strokes that cut among them and in the snapshot before them.
     pub cuts: u64,
     /// Cut requests that the server rejected.
     pub cuts_refused: u64,
@@ -230,7 +230,7 @@ impl Site {
 
     fn take_event(&mut self, event: ClientEvent, now: ClientTime) -> Result<(), SiteError> {
         match event {
-            ClientEvent::Snapshot(bytes) => self.replica.restore(&bytes)?,
+            ClientEvent::Snapshot(bytes) => self.restore_snapshot(&bytes)?,
             ClientEvent::Operation(operation) => self.handle_operation(operation, now)?,
             ClientEvent::CaughtUp => {
                 if let Some((version, hash)) = self.expected.take() {

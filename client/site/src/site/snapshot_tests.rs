@@ -2,7 +2,7 @@
 
 use palpate_protocol::handshake::SnapshotInfo;
 use palpate_tissue::snapshot::snapshot;
-use palpate_tissue::{BladePoint, CutHistory, CutStroke, Topology, Vec3};
+use palpate_tissue::{BladePoint, CutHistory, CutStroke, StrokePart, Topology, Vec3};
 
 use super::tests::*;
 use super::*;
@@ -23,7 +23,11 @@ fn after_cuts(places_mm: &[f64]) -> (Welcome, ClientEvent) {
             points,
             width_m: 0.0,
         };
-        history.cut(&mut topology, (&stroke).into()).unwrap();
+        let part = StrokePart {
+            stroke: Some(*x as u64),
+            ..(&stroke).into()
+        };
+        history.cut(&mut topology, part).unwrap();
     }
     let bytes = snapshot(&topology, &history);
     let info = SnapshotInfo {
@@ -54,6 +58,7 @@ fn snapshot_of_a_second_connection_replaces_that_of_the_first() {
         assert!(!site.is_resyncing() && !site.is_catching_up());
         let topology = site.replica().topology();
         assert_eq!(topology.version(), 2);
+        assert_eq!(site.counters().cuts, 2);
         assert_eq!(topology.hash().0, second.topology_hash.0);
         let seen = site.seen().unwrap().0.displacement.len();
         assert_eq!(seen, topology.node_count());
