@@ -182,7 +182,7 @@ fn snapshot_replaces_the_changes_up_to_its_version() {
     change(&mut log, 0, 2, OperationKind::Undone);
     change(&mut log, 90, 2, joined(3));
     change(&mut log, 90, 3, stroke(2));
-    assert!(log.cover(2, &[5; SNAPSHOT_PIECE_BYTES + 1]));
+    assert!(log.cover(2, &vec![5; SNAPSHOT_PIECE_BYTES + 1]));
     let (info, pieces) = log.snapshot().unwrap();
     assert_eq!(info.topology_version, 2);
     assert_eq!(info.bytes as usize, pieces.concat().len());
