@@ -52,6 +52,8 @@ const STATE_PERIOD: Span = Span::from_millis(200);
 /// The log of the session, on its way to the main thread.
 enum BoardUpdate {
     Welcome(Box<Welcome>),
+    /// Strokes in effect and strokes taken back.
+    Strokes([Vec<u64>; 2]),
     Operation(Box<Operation>),
     Invitation(Invitation),
 }
@@ -150,6 +152,7 @@ impl LocalPage {
                     self.board = Board::of(&welcome);
                 }
                 BoardUpdate::Welcome(_) => {}
+                BoardUpdate::Strokes(strokes) => self.board.set_strokes(strokes),
                 BoardUpdate::Operation(operation) => self.board.apply(&operation),
                 BoardUpdate::Invitation(invitation) => self.show_invitation(invitation),
             }
@@ -227,6 +230,11 @@ impl PageWindow {
         };
         // The main thread ends last.
         let _ = self.updates.send(update);
+    }
+
+    /// Takes over the strokes of a snapshot: those in effect and those taken back.
+    pub(crate) fn note_strokes(&self, strokes: [Vec<u64>; 2]) {
+        let _ = self.updates.send(BoardUpdate::Strokes(strokes));
     }
 
     /// Shows a view that this machine did not solve.

@@ -11,7 +11,8 @@ use crate::datagram::{
     Reply, Tag,
 };
 use crate::handshake::{
-    Hello, ModelInfo, RefusalReason, Refused, Resume, Role, RosterEntry, Subscription, Welcome,
+    Hello, ModelInfo, RefusalReason, Refused, Resume, Role, RosterEntry, SnapshotInfo,
+    Subscription, Welcome,
 };
 use crate::lateness::Lateness;
 use crate::operation::{
@@ -229,6 +230,7 @@ fn welcome() -> Welcome {
         topology_version: 1,
         topology_hash: TopologyHash(0x0123_4567_89ab_cdef),
         first_operation: OperationId(0),
+        snapshot: None,
         operations_so_far: 7,
         compensation: CompensationSettings {
             mode: CompensationMode::Adaptive { cap_us: 200_000 },
@@ -388,8 +390,20 @@ pub fn server_messages() -> Vec<Example<ServerMessage>> {
         id: 2,
         grant: Grant([0x33; 16]),
     });
+    let late = Welcome {
+        snapshot: Some(SnapshotInfo {
+            bytes: 3,
+            topology_version: 1,
+        }),
+        ..welcome()
+    };
     let mut all = vec![
         example("Welcome", ServerMessage::Welcome(Box::new(welcome()))),
+        example(
+            "Welcome with snapshot",
+            ServerMessage::Welcome(Box::new(late)),
+        ),
+        example("Snapshot", ServerMessage::Snapshot(vec![1, 2, 3])),
         example("Refused", ServerMessage::Refused(full)),
     ];
     for (i, operation) in operations().into_iter().enumerate() {

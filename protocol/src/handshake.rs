@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// The protocol version of this crate. Every change of a message increments it.
-pub const PROTOCOL_VERSION: u16 = 9;
+pub const PROTOCOL_VERSION: u16 = 10;
 
 /// The first bytes of every palpate stream.
 pub const MAGIC: [u8; 4] = *b"PALP";
@@ -34,6 +34,12 @@ pub const PREAMBLE_SENTENCE_MAX_BYTES: usize = 512;
 
 /// The most participants of a session; a roster longer than this is a protocol error.
 pub const ROSTER_MAX: usize = 64;
+
+/// The longest snapshot in bytes. It fits the backlog of a peer together with the longest log.
+pub const SNAPSHOT_MAX_BYTES: u32 = 16 * 1024 * 1024;
+
+/// The longest piece of a snapshot in bytes.
+pub const SNAPSHOT_PIECE_BYTES: usize = 32 * 1024;
 
 /// How long the server keeps the seat of a participant whose connection was lost.
 pub const SEAT_RETENTION: Span = Span::from_millis(60_000);
@@ -245,6 +251,15 @@ pub struct ModelInfo {
     pub bytes: u64,
 }
 
+/// A snapshot of the cuts: the topology and the strokes to undo and redo. It replaces operations of the log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SnapshotInfo {
+    /// Its size, at least 1 and at most [`SNAPSHOT_MAX_BYTES`].
+    pub bytes: u32,
+    /// The topology version that it restores. The log leaves out changes of the topology up to it.
+    pub topology_version: u32,
+}
+
 /// One line of the roster.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RosterEntry {
@@ -258,8 +273,8 @@ pub struct RosterEntry {
     pub tool: Option<ToolDescription>,
 }
 
-/// The server's answer to a [`Hello`] it accepts. The log follows: first the operations from
-/// `first_operation` up to `operations_so_far`, then each new one.
+/// The server's answer to a [`Hello`] it accepts. The snapshot follows, if there is one, and then the log: first the
+/// operations from `first_operation` up to `operations_so_far`, then each new one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Welcome {
     /// The number of the new participant.
@@ -281,6 +296,8 @@ pub struct Welcome {
     pub topology_hash: TopologyHash,
     /// The first operation that follows: 0, or the position of a resumed client.
     pub first_operation: OperationId,
+    /// The snapshot that comes before the log; `None` for a resumed client and before the first one.
+    pub snapshot: Option<SnapshotInfo>,
     /// The number after that of the last operation that follows on the stream at once; `first_operation` if none does.
     /// The stream leaves out operations that no longer matter.
     pub operations_so_far: u64,

@@ -264,6 +264,11 @@ impl CutStroke {
         u64::from(author.0) << 48 | (began & ((1 << 48) - 1))
     }
 
+    /// The author of a stroke with this number.
+    pub fn author_of(number: u64) -> ParticipantId {
+        ParticipantId((number >> 48) as u16)
+    }
+
     /// Whether the stroke has 1 to [`STROKE_MAX_POINTS`] valid points and a width of at most 0.1 m.
     pub fn is_valid(&self) -> bool {
         (1..=STROKE_MAX_POINTS).contains(&self.points.len())

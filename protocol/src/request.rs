@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::control::Control;
-use crate::handshake::{Hello, Refused, Welcome};
+use crate::handshake::{Hello, Refused, SNAPSHOT_PIECE_BYTES, Welcome};
 use crate::operation::{BladePoint, Operation, STROKE_MAX_POINTS};
 use crate::tool::ToolDescription;
 use crate::{Grant, RequestId, ServerTime, TopologyHash};
@@ -35,6 +35,11 @@ pub enum ServerMessage {
     },
     /// The answer to [`Control::Invite`], for the requester alone.
     Invitation(Invitation),
+    /// The next piece of the snapshot that the welcome announces.
+    Snapshot(
+        #[serde(deserialize_with = "crate::bounded_list::at_most::<SNAPSHOT_PIECE_BYTES, _, _>")]
+        Vec<u8>,
+    ),
 }
 
 /// A new invitation with its secret. The server sends it after the operation
@@ -179,9 +184,9 @@ pub enum RequestRefusal {
         "your tool is inactive, because your network needs more delay than the session allows; it becomes active again when the network has recovered"
     )]
     Demoted,
-    /// The log is so long that new participants could not receive any more of it.
+    /// The cuts are so many that new participants could not receive any more of them.
     #[error(
-        "the session's log is full; ask the host to save the tissue as a model and to begin a new session with it"
+        "the tissue has too many cuts for new participants to receive; ask the instructor to reset the tissue"
     )]
     LogFull,
     /// The stroke lies where the tool can not have been.

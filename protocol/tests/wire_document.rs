@@ -200,8 +200,9 @@ fn every_server_message_and_operation_is_in_the_document() {
         ServerMessage::RequestRefused(_) => (3, "RequestRefused"),
         ServerMessage::Goodbye { .. } => (4, "Goodbye"),
         ServerMessage::Invitation(_) => (5, "Invitation"),
+        ServerMessage::Snapshot(_) => (6, "Snapshot"),
     };
-    assert_rows(messages.iter().map(message), 6);
+    assert_rows(messages.iter().map(message), 7);
     let operation = |m: &Example<ServerMessage>| match &m.message {
         ServerMessage::Operation(o) => Some(match o.kind {
             OperationKind::Cut(_) => (0, "Cut"),

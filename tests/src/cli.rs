@@ -15,6 +15,7 @@ use crate::bench::coding::Coding;
 use crate::bench::cut_time::CutTime;
 use crate::bench::cuts::CutLoad;
 use crate::bench::haptic_tick::HapticTick;
+use crate::bench::late_join::LateJoin;
 use crate::bench::press_cube::PressCube;
 use crate::bench::press_scene::PressScene;
 use crate::bench::view_cost::ViewCost;
@@ -160,6 +161,8 @@ enum Bench {
     Cuts(Measurement<CutLoad>),
     /// Time of one blade sample against the size of the model
     CutTime(Measurement<CutTime>),
+    /// Time of a join to a session with many cuts: from the snapshot, and from the whole log
+    LateJoin(Measurement<LateJoin>),
     /// Time one tick of the force loop: read, compute, write
     HapticTick(Measurement<HapticTick>),
     /// Cost of a trainee's own page: force error, lateness and CPU time with and without it
@@ -201,6 +204,7 @@ impl Bench {
             Self::Bytes(measurement) => measurement.as_ref(),
             Self::Cuts(measurement) => measurement,
             Self::CutTime(measurement) => measurement,
+            Self::LateJoin(measurement) => measurement,
             Self::HapticTick(measurement) => measurement,
             Self::ViewCost(measurement) => measurement.as_ref(),
         }

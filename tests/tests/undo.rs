@@ -31,6 +31,8 @@ struct Client {
     site: Option<Site>,
     helpers: Option<(Prefetch, View)>,
     is_thin: bool,
+    /// Pieces of the snapshot that have arrived, and its size.
+    snapshot: (Vec<u8>, usize),
 }
 
 impl Client {
@@ -41,6 +43,8 @@ impl Client {
         } else {
             Site::new(welcome, model, None)
         };
+        let size = welcome.snapshot.map_or(0, |s| s.bytes as usize);
+        self.snapshot = (Vec::new(), size);
         let clock = ClientEvent::Clock(ClockMap::exact(Span::ZERO));
         site.handle_event(clock, ClientTime::ZERO).unwrap();
         self.site = Some(site);
@@ -150,6 +154,7 @@ impl Lesson {
             site: None,
             helpers: None,
             is_thin,
+            snapshot: (Vec::new(), 0),
         });
         let hello = Hello {
             name: name.to_owned(),
@@ -182,32 +187,28 @@ impl Lesson {
             };
             let client = self.clients.iter_mut().find(|c| c.peer == to).unwrap();
             match message {
-                PeerMessage::Welcome(welcome) => {
-                    client.begin(&welcome, &self.model);
-                    if welcome.operations_so_far == 0 {
+                PeerMessage::Welcome(welcome) => client.begin(&welcome, &self.model),
+                PeerMessage::Snapshot(piece) => {
+                    let (bytes, size) = &mut client.snapshot;
+                    bytes.extend_from_slice(&piece);
+                    if bytes.len() == *size {
+                        let event = ClientEvent::Snapshot(std::mem::take(bytes));
                         let site = client.site.as_mut().unwrap();
-                        site.handle_event(ClientEvent::CaughtUp, now).unwrap();
+                        site.handle_event(event, now).unwrap();
                     }
                 }
                 PeerMessage::Operation(operation) => {
                     let site = client.site.as_mut().unwrap();
                     let event = ClientEvent::Operation((*operation).clone());
                     site.handle_event(event, now).unwrap();
-                    if site.is_catching_up()
-                        && operation.id.next()
-                            == self
-                                .room
-                                .operations_since(operation.id)
-                                .last()
-                                .unwrap()
-                                .id
-                                .next()
-                    {
-                        site.handle_event(ClientEvent::CaughtUp, now).unwrap();
-                    }
                 }
                 _ => {}
             }
+        }
+        // The room sends a newcomer all at once.
+        let sites = self.clients.iter_mut().filter_map(|c| c.site.as_mut());
+        for site in sites.filter(|site| site.is_catching_up()) {
+            site.handle_event(ClientEvent::CaughtUp, now).unwrap();
         }
     }
 
@@ -259,7 +260,7 @@ impl Lesson {
             self.deliver();
             let now = ClientTime::from_micros(1000 * self.now_ms);
             for (i, client) in self.clients.iter_mut().enumerate() {
-                client.step(now, i == 0);
+                client.step(now, i % 3 == 0);
             }
         }
     }
@@ -294,27 +295,34 @@ proptest! {
     #[test]
     fn all_sites_have_equal_topologies_after_cuts_undos_redos_and_resets(
         steps in prop::collection::vec(step(), 1..9),
+        (snapshot, join) in (0_usize..9, 0_usize..9),
     ) {
         let mut lesson = Lesson::new();
         lesson.settle();
-        for step in steps {
-            match step {
-                Step::Cut(x) => lesson.cut(x),
-                Step::Control(control) => lesson.request(RequestKind::Control(control)),
+        let (snapshot, join) = (snapshot.min(steps.len()), join.min(steps.len()));
+        for i in 0..=steps.len() {
+            if i == snapshot {
+                lesson.room.take_snapshot(lesson.now());
+            }
+            if i == join {
+                // With the snapshot, if it is taken by now.
+                lesson.join("dan", Role::Spectator, false);
+                lesson.join("eve", Role::Spectator, true);
+            }
+            match steps.get(i) {
+                Some(Step::Cut(x)) => lesson.cut(*x),
+                Some(Step::Control(c)) => lesson.request(RequestKind::Control(c.clone())),
+                None => {}
             }
             lesson.settle();
             lesson.check();
         }
-        lesson.join("dan", Role::Spectator, false);
-        lesson.join("eve", Role::Spectator, true);
-        lesson.settle();
-        lesson.check();
         for _ in 0..9 {
             lesson.now_ms += 2000;
             lesson.request(RequestKind::Control(Control::Undo));
             lesson.settle();
+            lesson.check();
         }
-        lesson.check();
         let uncut = TopologyHash::of_uncut(&lesson.model);
         prop_assert_eq!(lesson.room.topology().1.0, uncut.0);
     }

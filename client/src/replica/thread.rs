@@ -214,7 +214,13 @@ impl ReplicaLoop {
             if let Some(page) = &self.inputs.page {
                 page.note(&event, monotonic_now());
             }
+            let is_snapshot = matches!(event, ClientEvent::Snapshot(_));
             self.inputs.site.handle_event(event, monotonic_now())?;
+            if let Some(page) = self.inputs.page.as_ref().filter(|_| is_snapshot)
+                && let Some(history) = self.inputs.site.replica().history()
+            {
+                page.note_strokes(history.stroke_numbers());
+            }
             let resyncs = self.inputs.site.counters().resyncs;
             if resyncs != self.resyncs {
                 // The helpers work on the old replica; their results are discarded.

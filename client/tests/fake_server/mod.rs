@@ -359,6 +359,7 @@ fn welcome(info: ModelInfo, now: ServerTime, hello: &Hello) -> PeerMessage {
         topology_version: 0,
         topology_hash: wire(Topology::new(Arc::new(model())).hash()),
         first_operation: OperationId(0),
+        snapshot: None,
         operations_so_far: 0,
         compensation: CompensationSettings {
             mode: CompensationMode::Fixed,

@@ -69,6 +69,11 @@ impl Board {
         self.state.session.delay_cap_ms = cap_ms;
     }
 
+    /// Replaces the strokes in effect and those that were taken back by those of a snapshot; the latest last.
+    pub fn set_strokes(&mut self, [done, undone]: [Vec<u64>; 2]) {
+        (self.undoable, self.redoable) = (done, undone);
+    }
+
     /// Applies the next operation of the log.
     pub fn apply(&mut self, operation: &Operation) {
         if operation.id.0 < self.next {
@@ -263,6 +268,10 @@ mod tests {
         assert_eq!(can(apply(&mut board, OperationKind::Redone)), (true, true));
         assert_eq!(can(apply(&mut board, cut(3))), (true, false));
         assert_eq!(can(apply(&mut board, OperationKind::Reset)), (false, false));
+        board.set_strokes([vec![1, 2], vec![3]]);
+        assert_eq!(can(board.state()), (true, true));
+        assert_eq!(board.state().session.cuts, 2);
+        assert_eq!(can(apply(&mut board, OperationKind::Redone)), (true, false));
     }
 
     #[test]

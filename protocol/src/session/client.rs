@@ -1,6 +1,8 @@
 //! The client's end of a session.
 
+mod catch_up;
 mod clock_step;
+mod incoming_snapshot;
 mod outgoing;
 mod resumption;
 
@@ -10,11 +12,8 @@ use crate::clock::{ClockEstimate, ClockMap};
 use crate::codec::{self, FrameDecoder};
 use crate::compensation::{DelayEstimator, DelaySchedule, MotionArrival, REPORT_OLD};
 use crate::datagram::{Body, Header};
-use crate::handshake::{
-    Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused, Welcome,
-};
+use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused};
 use crate::lateness::LONG_STALL;
-use crate::operation::{Operation, OperationKind};
 use crate::request::{ClientMessage, Request, RequestKind, ServerMessage};
 use crate::session::motion_batch::MotionBatch;
 use crate::session::outbox::Outbox;
@@ -26,6 +25,7 @@ use crate::{
     ClientTime, LocalSample, OperationId, ParticipantId, ProtocolError, RequestId, ServerTime,
     Span, ToolTrack,
 };
+use incoming_snapshot::IncomingSnapshot;
 use outgoing::Pending;
 
 /// Between clock probes until the clock is locked.
@@ -64,8 +64,10 @@ impl ClientSession {
 struct Joined {
     participant: ParticipantId,
     next_operation: OperationId,
-    /// How long the log was at the welcome.
-    catch_up: u64,
+    /// How long the log was at the welcome; `None` once all that was in it has arrived.
+    catch_up: Option<u64>,
+    /// The snapshot that is arriving.
+    snapshot: Option<IncomingSnapshot>,
     schedule: DelaySchedule,
     newest_shown: Vec<(ParticipantId, ServerTime)>,
     /// The last arrival of motion of another participant's tool.
@@ -188,6 +190,7 @@ impl ClientSession {
             (State::Joined(_), ServerMessage::Operation(operation)) => {
                 self.handle_operation(operation)?;
             }
+            (State::Joined(_), ServerMessage::Snapshot(piece)) => self.handle_snapshot(&piece)?,
             (State::Joined(_), ServerMessage::RequestRefused(refused)) => {
                 self.emit(ClientEvent::RequestRefused(refused));
             }
@@ -201,97 +204,6 @@ impl ClientSession {
                 );
             }
             _ => return out_of_order("server message", "the hello is not answered"),
-        }
-        Ok(())
-    }
-
-    fn join(&mut self, welcome: Box<Welcome>, now: ClientTime) -> Result<(), ProtocolError> {
-        if welcome.roster.len() > ROSTER_MAX {
-            return Err(ProtocolError::OutOfRange {
-                what: "the roster",
-                detail: format!("{} entries, at most {ROSTER_MAX}", welcome.roster.len()),
-            });
-        }
-        let first = welcome.first_operation;
-        let is_continued = first.0 == 0 || self.resumes_at == Some(first);
-        if !is_continued || first.0 > welcome.operations_so_far {
-            return Err(ProtocolError::OutOfRange {
-                what: "the beginning of the log",
-                detail: format!(
-                    "{first} of {}, where {} was asked for",
-                    welcome.operations_so_far,
-                    self.resumes_at.unwrap_or_default()
-                ),
-            });
-        }
-        self.link.open(welcome.epoch, welcome.participant);
-        let schedule = self.schedule_after(&welcome);
-        self.state = State::Joined(Box::new(Joined {
-            participant: welcome.participant,
-            next_operation: first,
-            catch_up: welcome.operations_so_far,
-            schedule,
-            newest_shown: Vec::new(),
-            last_motion_at: now,
-        }));
-        self.probe_due = now;
-        self.report_due = now + DELAY_REPORT_PERIOD;
-        let nothing_to_catch_up = welcome.operations_so_far == first.0;
-        self.emit(ClientEvent::Welcomed(welcome));
-        if nothing_to_catch_up {
-            self.emit(ClientEvent::CaughtUp);
-        }
-        Ok(())
-    }
-
-    fn handle_operation(&mut self, operation: Operation) -> Result<(), ProtocolError> {
-        let State::Joined(joined) = &mut self.state else {
-            return Ok(());
-        };
-        // A gap stands for operations that no longer matter.
-        if operation.id < joined.next_operation {
-            return Err(ProtocolError::OperationOrder {
-                expected: joined.next_operation.0,
-                found: operation.id.0,
-            });
-        }
-        joined.next_operation = operation.id.next();
-        if !operation.kind.is_valid() {
-            let what = match operation.kind {
-                OperationKind::Cut(_) => "a stroke",
-                _ => "an operation",
-            };
-            return Err(ProtocolError::OutOfRange {
-                what,
-                detail: format!("a number or text of {} is not allowed", operation.id),
-            });
-        }
-        match &operation.kind {
-            OperationKind::Compensation {
-                delay_us,
-                effective_at,
-            } => {
-                joined.schedule.handle_change(*delay_us, *effective_at);
-            }
-            OperationKind::Left { participant, .. }
-            | OperationKind::Disconnected { participant }
-            | OperationKind::Demoted { participant, .. }
-            | OperationKind::Muted {
-                participant,
-                is_muted: true,
-            } => {
-                joined.newest_shown.retain(|(p, _)| p != participant);
-                // The last delay estimate is void: no other participant's motion arrives.
-                if joined.newest_shown.is_empty() {
-                    self.delay = DelayEstimator::default();
-                }
-            }
-            _ => {}
-        }
-        let caught_up = joined.next_operation.0 == joined.catch_up;
-        self.emit(ClientEvent::Operation(operation));
-        if caught_up {
-            self.emit(ClientEvent::CaughtUp);
         }
         Ok(())
     }

@@ -51,8 +51,8 @@ pub const HANDSHAKE_TIMEOUT: Span = Span::from_millis(10_000);
 /// The longest time between two datagrams of either side, so that silence is detected.
 pub const HEARTBEAT: Span = Span::from_millis(100);
 
-/// The most bytes of operations that wait for one peer, encoded or not: a new client receives the whole
-/// log. Beyond, the peer is too slow and is closed. It holds a thousand strokes of the longest kind.
+/// The most bytes that wait for one peer on the operations stream, encoded or not: a new client receives the longest
+/// snapshot and the longest log at once. Beyond, the peer is too slow and is closed.
 pub const STREAM_BACKLOG_MAX_BYTES: usize = 32 * 1024 * 1024;
 
 /// The high-water mark of encoded operations for one peer, bytes. Above it the shell leaves operations in
@@ -100,8 +100,10 @@ pub enum CloseReason {
 /// An event of a client's session.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ClientEvent {
-    /// The handshake is done. The operations of the log follow as events.
+    /// The handshake is done. The snapshot and the operations of the log follow as events.
     Welcomed(Box<Welcome>),
+    /// The snapshot that the welcome announced, before the first operation.
+    Snapshot(Vec<u8>),
     /// The next operation of the log, in order. A gap in the numbers stands for operations that no longer matter.
     Operation(Operation),
     /// All operations that were in the log at the welcome have been returned.
@@ -194,8 +196,11 @@ pub struct MotionRound {
 /// A reliable, ordered message of the server to one client.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PeerMessage {
-    /// Accepts the client. Every operation of the log, from the first that it names, is sent after it.
+    /// Accepts the client. The snapshot that it announces is sent after it, then every operation of the log, from the
+    /// first that it names.
     Welcome(Box<Welcome>),
+    /// The next piece of the snapshot.
+    Snapshot(Arc<[u8]>),
     /// Refuses the client; closes the session.
     Refused(Refused),
     /// The next operation.

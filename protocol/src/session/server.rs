@@ -69,7 +69,7 @@ impl ServerPeer {
 /// The server's end of one client's session: see [`crate::session`] for the calling order.
 ///
 /// Answer [`PeerEvent::Hello`] with [`PeerMessage::Welcome`] or [`PeerMessage::Refused`]; after the
-/// welcome send every operation of the log from its `first_operation` and then each new one.
+/// welcome send the snapshot in pieces and every operation of the log from its `first_operation` and then each new one.
 pub struct ServerPeer {
     state: State,
     decoder: FrameDecoder<ClientMessage>,
@@ -372,6 +372,9 @@ impl ServerPeer {
                 self.outbox
                     .push(&ServerMessage::Operation(operation.as_ref().clone()))
             }
+            (PeerMessage::Snapshot(piece), State::Joined { .. }) => {
+                self.outbox.push(&ServerMessage::Snapshot(piece.to_vec()))
+            }
             (PeerMessage::RequestRefused(refused), State::Joined { .. }) => self
                 .outbox
                 .push(&ServerMessage::RequestRefused(refused.clone())),
@@ -379,6 +382,7 @@ impl ServerPeer {
                 self.outbox.push(&ServerMessage::Invitation(*invitation))
             }
             (PeerMessage::Invitation(_), _) => not_joined("invitation"),
+            (PeerMessage::Snapshot(_), _) => not_joined("snapshot"),
             (PeerMessage::Operation(_), _) => not_joined("operation"),
             (PeerMessage::RequestRefused(_), _) => not_joined("refusal of a request"),
             (PeerMessage::Goodbye(sentence), _) => {

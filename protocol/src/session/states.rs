@@ -91,6 +91,7 @@ fn run_client(from: &str, what: &str) -> &'static str {
         "a goodbye" => ServerMessage::Goodbye {
             sentence: "a test".into(),
         },
+        "a piece of no snapshot" => ServerMessage::Snapshot(vec![1]),
         "an operation" | "the next operation" => ServerMessage::Operation(operation_at(0)),
         "a repeated operation" => {
             let first = ServerMessage::Operation(operation_at(0));

@@ -9,7 +9,9 @@ use rand_pcg::Pcg64;
 
 use super::*;
 use crate::codec;
-use crate::handshake::{ModelInfo, Preamble, Resume, Subscription};
+use crate::handshake::{
+    ModelInfo, Preamble, Resume, SNAPSHOT_PIECE_BYTES, SnapshotInfo, Subscription,
+};
 use crate::operation::{CompensationMode, CompensationSettings, OperationKind};
 use crate::request::{RequestKind, ServerMessage};
 use crate::timeline::Timeline;
@@ -212,6 +214,7 @@ pub(super) fn welcome(first: u64, log: u64) -> Welcome {
         topology_version: 0,
         topology_hash: TopologyHash(0),
         first_operation: OperationId(first),
+        snapshot: None,
         operations_so_far: log,
         compensation: CompensationSettings {
             mode: CompensationMode::Fixed,
@@ -270,6 +273,36 @@ fn operations_arrive_once_and_in_order_over_any_link() {
             .iter()
             .filter(|e| **e == ClientEvent::CaughtUp);
         assert_eq!(caught_up.count(), 1);
+    }
+}
+
+#[test]
+fn snapshot_arrives_whole_and_before_the_log() {
+    let bytes: Vec<u8> = (0..200_000_u32).map(|i| (i % 251) as u8).collect();
+    for log in [0, 20] {
+        let mut pair = Pair::new(1, 60_000, 20_000, 0.2);
+        let mut welcome = welcome(0, log);
+        welcome.snapshot = Some(SnapshotInfo {
+            bytes: bytes.len() as u32,
+            topology_version: 7,
+        });
+        pair.steps(300);
+        pair.send(&PeerMessage::Welcome(Box::new(welcome)));
+        for piece in bytes.chunks(SNAPSHOT_PIECE_BYTES) {
+            pair.send(&PeerMessage::Snapshot(piece.into()));
+        }
+        (0..log).for_each(|id| pair.send(&operation(id)));
+        pair.steps(3000);
+        let is_of_log = |e: &&ClientEvent| {
+            matches!(
+                e,
+                ClientEvent::Snapshot(_) | ClientEvent::Operation(_) | ClientEvent::CaughtUp
+            )
+        };
+        let events: Vec<&ClientEvent> = pair.client_events.iter().filter(is_of_log).collect();
+        assert_eq!(events.len() as u64, 2 + log);
+        assert_eq!(events[0], &ClientEvent::Snapshot(bytes.clone()));
+        assert_eq!(events[events.len() - 1], &ClientEvent::CaughtUp);
     }
 }
 

@@ -5,6 +5,7 @@
 //! Room --TissueOrder::Cut-----> Authority --CutJob--> Cutter --TissueReport::Cut--> Room (log)
 //!                                          <--PreparedCut--
 //! Room --TissueOrder::Apply---> Authority: the prepared cut enters the first view whose time has reached `at`
+//! Room --TissueOrder::Snapshot---------------------> Cutter --TissueReport::Snapshot--> Room (newcomers)
 //! ```
 //!
 //! A part of a stroke takes some milliseconds, an undo a hundred, an equilibrium up to ten. A server therefore runs each on its own thread, and
@@ -18,6 +19,7 @@ use palpate_protocol::operation::OperationKind;
 use palpate_protocol::request::{CutRequest, RequestRefusal, TimedBladePoint};
 use palpate_protocol::session::Picture;
 use palpate_protocol::{ParticipantId, RequestId, ServerTime, Span, TopologyHash};
+use palpate_tissue::snapshot::snapshot;
 use palpate_tissue::{
     Budget, CutError, CutPreparer, Model, PreparedCut, Shape, Tissue, Tool, Topology,
 };
@@ -53,6 +55,8 @@ pub enum TissueOrder {
         /// The first view time that shows it.
         at: ServerTime,
     },
+    /// Take a snapshot of the newest topology and its strokes, after the cuts before this order.
+    Snapshot,
 }
 
 /// One tick of the tissue.
@@ -114,6 +118,13 @@ pub enum TissueReport {
         result: Result<LoggedCut, RequestRefusal>,
         /// CPU time of the preparation, charged to the author. The thread that calls [`Cutter::make`] measures it.
         took: Span,
+    },
+    /// A snapshot for newcomers.
+    Snapshot {
+        /// Topology version that it restores.
+        version: u32,
+        /// The content for [`palpate_tissue::snapshot::restore`].
+        bytes: Vec<u8>,
     },
 }
 
@@ -384,6 +395,15 @@ impl Cutter {
         match (cut, made) {
             (Some(cut), Ok(prepared)) => Ok((OperationKind::Cut(cut), prepared)),
             (_, made) => Err(made.err().map_or(RequestRefusal::NothingCut, refusal)),
+        }
+    }
+
+    /// A snapshot of the newest topology and its strokes.
+    pub fn snapshot(&self) -> TissueReport {
+        let topology = self.preparer.topology();
+        TissueReport::Snapshot {
+            version: topology.version(),
+            bytes: snapshot(topology, self.preparer.history()),
         }
     }
 

@@ -78,6 +78,11 @@ impl CutBudget {
         self.own += bytes;
     }
 
+    /// No cut uses log space any more: a snapshot covers them.
+    pub(crate) fn clear_log(&mut self) {
+        (self.inherited, self.own) = (0, 0);
+    }
+
     /// Takes the length of a stroke, unless it or an unpaid preparation exceeds the budget.
     pub(crate) fn take(&mut self, cut: &CutRequest, now: ServerTime) -> Result<(), RequestRefusal> {
         let at = now - ServerTime::ZERO;

@@ -17,8 +17,10 @@ pub enum Limit {
     CutBudget,
     /// A cut was refused, because it does not follow its author's tool or does not fit its blade.
     CutRefused,
-    /// A cut was refused, because its author's share of the log is used.
+    /// A cut was refused, because its author's share of the log is used, which no snapshot returned.
     LogFull,
+    /// A snapshot was dropped, because it is too large for newcomers.
+    Snapshot,
     /// A sample was dropped, because no hand moves that fast.
     Sample,
     /// A delay report was reduced to the measured path, or ignored.
@@ -29,7 +31,7 @@ pub enum Limit {
 
 impl Limit {
     /// All of them, in the order of their numbers.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::JoinRefused,
         Self::Full,
         Self::Busy,
@@ -37,6 +39,7 @@ impl Limit {
         Self::CutBudget,
         Self::CutRefused,
         Self::LogFull,
+        Self::Snapshot,
         Self::Sample,
         Self::DelayReport,
         Self::DelayChange,
@@ -52,6 +55,7 @@ impl Limit {
             Self::CutBudget => "cut-budget",
             Self::CutRefused => "cut-refused",
             Self::LogFull => "log-full",
+            Self::Snapshot => "snapshot",
             Self::Sample => "sample",
             Self::DelayReport => "delay-report",
             Self::DelayChange => "delay-change",
@@ -69,6 +73,7 @@ impl fmt::Display for Limit {
             Self::CutBudget => "cuts refused: too much for one participant",
             Self::CutRefused => "cuts refused: not at the tool, or not by its blade",
             Self::LogFull => "cuts refused: the share of the log is used up",
+            Self::Snapshot => "snapshots dropped: too large for newcomers",
             Self::Sample => "samples dropped: faster than a hand",
             Self::DelayReport => "delay reports limited: the measured path does not explain them",
             Self::DelayChange => "ticks without a new playout delay: it changed too often",

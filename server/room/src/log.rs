@@ -1,15 +1,20 @@
 //! The operation log, its compaction, and its shares.
 //!
-//! A client that joins or resyncs receives the whole log at once, so the log must fit the backlog of one peer, in
-//! number and in bytes.
+//! A client that joins or resyncs receives the newest snapshot and the log at once, so both must fit the backlog of one
+//! peer, in number and in bytes.
 //!
 //! ```text
-//! cuts                               7,000 operations and 28 MiB, shared between the authors
+//! snapshot                           16 MiB
+//! cuts after it                      4,000 operations and 12 MiB, shared between the authors
 //! changes of the playout delay       8,000 operations
 //! participants                       compacted: bounded by the rates of joins and resumptions
-//! undos, redos and resets            900 operations
+//! undos, redos and resets after it   900 operations
 //! controls of the session            compacted: bounded by their rate and the number of annotations; 1,000 operations
 //! ```
+//!
+//! **Snapshots.** After every [`SNAPSHOT_EVERY`] changes of the topology the cut thread takes a snapshot. It covers the
+//! changes up to its version: newcomers receive it instead of them. They stay in the log for a while, for clients that
+//! resume. A snapshot that is too large covers nothing, and the space for cuts runs out.
 //!
 //! **Compaction.** A newcomer knows the present participants from its welcome and needs no operation about one who has
 //! left. A resuming client may miss operations of the last minute, because its seat is kept that long. Operations about
@@ -23,32 +28,44 @@
 //!
 //! **Shares.** A cut is accepted if its author has used less space than remains. One author can therefore use at most
 //! half, and every other present participant still cuts. An author who joins again inherits what those who left have
-//! used.
+//! used. A snapshot returns all of it.
 
-use std::collections::BTreeSet;
+mod compaction;
+
 use std::sync::Arc;
 
-use palpate_protocol::codec::{FRAME_MAX_BYTES, encode_frame};
-use palpate_protocol::handshake::SEAT_RETENTION;
+use palpate_protocol::codec::FRAME_MAX_BYTES;
+use palpate_protocol::handshake::{
+    SEAT_RETENTION, SNAPSHOT_MAX_BYTES, SNAPSHOT_PIECE_BYTES, SnapshotInfo,
+};
 use palpate_protocol::operation::{Operation, OperationKind};
-use palpate_protocol::request::ServerMessage;
-use palpate_protocol::{OperationId, ParticipantId, ServerTime, Span};
+use palpate_protocol::{OperationId, ParticipantId, ServerTime, Span, TopologyHash};
+
+use compaction::about;
+
+/// Changes of the topology between two snapshots. A newcomer repeats little more than these, in 3 to 4 ms each. A
+/// snapshot takes 25 ms of the cut thread.
+const SNAPSHOT_EVERY: usize = 64;
 
 /// Limit for changes of the playout delay; beyond it the delay is constant.
 const DELAYS_MAX: usize = 8_000;
 
-/// Space of all cuts in bytes. Together with the other operations it fits the backlog of a peer.
-const CUTS_MAX_BYTES: u64 = 28 * 1024 * 1024;
+/// Space of the cuts after the snapshot in bytes. Together with it and the other operations it fits the backlog of a
+/// peer.
+const CUTS_MAX_BYTES: u64 = 12 * 1024 * 1024;
 
-/// Limit for cuts.
-const CUTS_MAX: u64 = 7_000;
+/// Limit for cuts after the snapshot.
+const CUTS_MAX: u64 = 4_000;
+
+/// Space of the changes that the snapshot covers, kept for resuming clients, bytes: 2,700 changes.
+const COVERED_MAX_BYTES: u64 = 8 * 1024 * 1024;
 
 /// Least space of a cut in bytes, so that one measure bounds number and bytes.
 const CUT_MIN_BYTES: u64 = CUTS_MAX_BYTES.div_ceil(CUTS_MAX);
 
 /// Limit for operations about participants. Joins (three classes of 64 and 10 per second, three operations each) and
-/// resumptions (64 seats with 8 and 0.2 per second, three operations each) of [`KEPT`] stay below it. With cuts and
-/// changes of the delay it is 25,000, with [`CONTROLS_MAX`] and [`RETURNS_MAX`] 26,900; the transport lets 28,900
+/// resumptions (64 seats with 8 and 0.2 per second, three operations each) of [`KEPT`] stay below it. With all cuts
+/// and changes of the delay it is 24,700, with [`CONTROLS_MAX`] and [`RETURNS_MAX`] 26,600; the transport lets 28,900
 /// wait for a peer.
 const PARTICIPANTS_MAX: usize = 10_000;
 
@@ -56,7 +73,8 @@ const PARTICIPANTS_MAX: usize = 10_000;
 /// annotations, 64 invitations, as many of their uses and four further values remain.
 const CONTROLS_MAX: usize = 1_000;
 
-/// Limit for undos, redos and resets. They are kept like cuts, because later operations depend on them.
+/// Limit for undos, redos and resets after the snapshot. They are kept like cuts, because later operations depend on
+/// them.
 const RETURNS_MAX: usize = 900;
 
 /// Age from which superseded operations are dropped: a seat is kept for 60 s, and a lost connection is noticed within
@@ -77,40 +95,76 @@ pub(crate) struct Log {
     delays: usize,
     about_participants: usize,
     controls: usize,
-    returns: usize,
-    /// Space used by cuts, bytes.
-    cuts_bytes: u64,
+    snapshot: Option<Snapshot>,
+    /// What the snapshot does not cover.
+    uncovered: Changes,
+    /// Number of uncovered changes when the latest snapshot was due.
+    due_at: usize,
+    /// State after the newest change of the topology that was dropped, and the number after it.
+    dropped: Option<(OperationId, TopologyState)>,
     next_compaction: ServerTime,
+}
+
+/// Version and hash of a topology.
+pub(crate) type TopologyState = (u32, TopologyHash);
+
+/// A snapshot as newcomers receive it.
+#[derive(Debug)]
+struct Snapshot {
+    info: SnapshotInfo,
+    pieces: Vec<Arc<[u8]>>,
+}
+
+/// Changes of the topology.
+#[derive(Debug, Default)]
+struct Changes {
+    count: usize,
+    /// Undos, redos and resets among them.
+    returns: usize,
+    /// Space of the cuts among them, bytes.
+    cuts_bytes: u64,
+}
+
+impl Changes {
+    fn note(&mut self, kind: &OperationKind) {
+        self.count += 1;
+        if matches!(kind, OperationKind::Cut(_)) {
+            self.cuts_bytes += space_of(kind);
+        } else {
+            self.returns += 1;
+        }
+    }
+}
+
+/// Space of a change of the topology: at least its bytes on the wire.
+fn space_of(kind: &OperationKind) -> u64 {
+    /// Bytes of a blade point, and of all else in a cut.
+    const POINT: usize = 56;
+    const REST: usize = 96;
+    let points = match kind {
+        OperationKind::Cut(stroke) => stroke.points.len(),
+        _ => 0,
+    };
+    CUT_MIN_BYTES.max((REST + points * POINT) as u64)
 }
 
 impl Log {
     /// Appends an operation with the [next number](Self::next). Returns the space that it uses if it is a cut, bytes.
     pub(crate) fn push(&mut self, operation: Arc<Operation>) -> u64 {
-        let space = match &operation.kind {
-            OperationKind::Cut(_) => {
-                let message = ServerMessage::Operation(operation.as_ref().clone());
-                // An operation that fits no frame is never sent, and counts as the longest.
-                let bytes = encode_frame(&message).map_or(FRAME_MAX_BYTES, |frame| frame.len());
-                CUT_MIN_BYTES.max(bytes as u64)
+        let kind = &operation.kind;
+        let mut space = 0;
+        if kind.changes_topology() {
+            self.uncovered.note(kind);
+            if matches!(kind, OperationKind::Cut(_)) {
+                space = space_of(kind);
             }
-            OperationKind::Compensation { .. } => {
-                self.delays += 1;
-                0
-            }
-            OperationKind::Reset | OperationKind::Undone | OperationKind::Redone => {
-                self.returns += 1;
-                0
-            }
-            kind if about(kind).is_some() => {
-                self.about_participants += 1;
-                0
-            }
-            _ => {
-                self.controls += 1;
-                0
-            }
-        };
-        self.cuts_bytes += space;
+        } else if matches!(kind, OperationKind::Compensation { .. }) {
+            self.delays += 1;
+        } else if about(kind).is_some() {
+            self.about_participants += 1;
+        } else {
+            self.controls += 1;
+        }
         self.next = operation.id.0 + 1;
         self.operations.push(operation);
         space
@@ -137,14 +191,80 @@ impl Log {
         self.operations.len()
     }
 
-    /// The last kept operation before this number.
-    pub(crate) fn last_before(&self, number: OperationId) -> Option<&Arc<Operation>> {
-        self.operations[..self.index_of(number)].last()
+    /// The topology before the operation with this number; `None` for the uncut one.
+    pub(crate) fn state_before(&self, number: OperationId) -> Option<TopologyState> {
+        let kept = self.operations[..self.index_of(number)].last();
+        let kept = kept.map(|o| (o.id.next(), (o.topology_version_after, o.hash_after)));
+        let states = kept.into_iter().chain(self.dropped);
+        Some(states.max_by_key(|(after, _)| *after)?.1)
+    }
+
+    /// The hash of a version; `None` if no kept operation has it.
+    pub(crate) fn hash_of(&self, version: u32) -> Option<TopologyHash> {
+        let operations = &self.operations;
+        let first = operations.partition_point(|o| o.topology_version_after < version);
+        let operation = operations.get(first)?;
+        (operation.topology_version_after == version).then_some(operation.hash_after)
     }
 
     /// The kept operations from this number on.
     pub(crate) fn since(&self, first: OperationId) -> &[Arc<Operation>] {
         &self.operations[self.index_of(first)..]
+    }
+
+    /// The operations for a newcomer, who receives the snapshot before them.
+    pub(crate) fn for_newcomer(&self) -> Vec<Arc<Operation>> {
+        let needed = self.operations.iter().filter(|o| !self.covers(o));
+        needed.cloned().collect()
+    }
+
+    /// Whether the snapshot contains the effect of an operation.
+    fn covers(&self, operation: &Operation) -> bool {
+        let covered = self.snapshot.as_ref().map(|s| s.info.topology_version);
+        operation.kind.changes_topology()
+            && covered.is_some_and(|version| operation.topology_version_after <= version)
+    }
+
+    /// The snapshot for newcomers, in pieces.
+    pub(crate) fn snapshot(&self) -> Option<(SnapshotInfo, &[Arc<[u8]>])> {
+        let snapshot = self.snapshot.as_ref()?;
+        Some((snapshot.info, &snapshot.pieces))
+    }
+
+    /// Whether the next snapshot is due. It is due once.
+    pub(crate) fn poll_snapshot_due(&mut self) -> bool {
+        let is_due = self.uncovered.count >= self.due_at + SNAPSHOT_EVERY;
+        if is_due {
+            self.due_at = self.uncovered.count;
+        }
+        is_due
+    }
+
+    /// Replaces the snapshot by one of a later version. Returns whether it fits a newcomer.
+    pub(crate) fn cover(&mut self, topology_version: u32, bytes: &[u8]) -> bool {
+        let fitting = u32::try_from(bytes.len()).ok();
+        let Some(bytes_total) = fitting.filter(|bytes| *bytes <= SNAPSHOT_MAX_BYTES) else {
+            return false;
+        };
+        self.snapshot = Some(Snapshot {
+            info: SnapshotInfo {
+                bytes: bytes_total,
+                topology_version,
+            },
+            pieces: bytes.chunks(SNAPSHOT_PIECE_BYTES).map(Arc::from).collect(),
+        });
+        let mut uncovered = Changes::default();
+        for operation in self.operations.iter().rev() {
+            if operation.topology_version_after <= topology_version {
+                break;
+            }
+            if operation.kind.changes_topology() {
+                uncovered.note(&operation.kind);
+            }
+        }
+        self.uncovered = uncovered;
+        self.due_at = 0;
+        true
     }
 
     fn index_of(&self, number: OperationId) -> usize {
@@ -165,7 +285,8 @@ impl Log {
 
     /// Whether a cut fits whose author has used this space, bytes.
     pub(crate) fn takes_cut(&self, used: u64) -> bool {
-        let left = CUTS_MAX_BYTES.saturating_sub(self.cuts_bytes + FRAME_MAX_BYTES as u64);
+        let left =
+            CUTS_MAX_BYTES.saturating_sub(self.uncovered.cuts_bytes + FRAME_MAX_BYTES as u64);
         used < left
     }
 
@@ -181,416 +302,9 @@ impl Log {
 
     /// Whether an undo, a redo or a reset fits.
     pub(crate) fn takes_return(&self) -> bool {
-        self.returns < RETURNS_MAX
-    }
-
-    /// The freeze that has not ended.
-    fn freeze_in_force(&self) -> Option<OperationId> {
-        let newest = self.operations.iter().rev().find_map(|o| match o.kind {
-            OperationKind::Frozen { is_frozen, .. } => Some((o.id, is_frozen)),
-            _ => None,
-        });
-        newest.filter(|(_, is_frozen)| *is_frozen).map(|(id, _)| id)
-    }
-
-    /// Drops operations that no longer matter, once per [`COMPACTION_PERIOD`].
-    pub(crate) fn compact(&mut self, now: ServerTime) {
-        if now < self.next_compaction {
-            return;
-        }
-        self.next_compaction = now + COMPACTION_PERIOD;
-        let mut superseding = Superseding {
-            frozen_by: self.freeze_in_force(),
-            ..Superseding::default()
-        };
-        let mut fates: Vec<Fate> = self
-            .operations
-            .iter()
-            .rev()
-            .map(|o| superseding.fate(o, now))
-            .collect();
-        fates.reverse();
-        let mut fates = fates.into_iter();
-        self.operations.retain(|o| {
-            let fate = fates.next().unwrap_or(Fate::Kept);
-            if fate == Fate::Kept {
-                return true;
-            }
-            if fate == Fate::Dropped {
-                self.complete_from = self.complete_from.max(o.id.next());
-            }
-            if about(&o.kind).is_some() {
-                self.about_participants -= 1;
-            } else {
-                self.controls -= 1;
-            }
-            false
-        });
-    }
-}
-
-/// Decision of the compaction about an operation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Fate {
-    /// It still matters.
-    Kept,
-    /// A later operation contains its effect.
-    Replaced,
-    /// It no longer matters, but a client that lacks the operations around it needs the whole log.
-    Dropped,
-}
-
-/// A property of the session that has its newest value.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Property {
-    Tool(ParticipantId),
-    Mute(ParticipantId),
-    ForceLimit(ParticipantId),
-    Emulation(ParticipantId),
-    Freeze,
-    Access,
-    CompensationMode,
-    Camera,
-    Annotation(u32),
-    Invitation(u32),
-}
-
-/// The property that an operation sets, and whether it sets the value of the beginning.
-fn sets(kind: &OperationKind) -> Option<(Property, bool)> {
-    Some(match kind {
-        OperationKind::ToolChanged { participant, .. } => (Property::Tool(*participant), false),
-        OperationKind::Muted {
-            participant,
-            is_muted,
-        } => (Property::Mute(*participant), !is_muted),
-        OperationKind::ForceLimit {
-            participant,
-            newtons,
-        } => (Property::ForceLimit(*participant), newtons.is_none()),
-        OperationKind::Emulated {
-            participant,
-            emulation,
-        } => (Property::Emulation(*participant), emulation.is_none()),
-        OperationKind::Frozen { is_frozen, .. } => (Property::Freeze, !is_frozen),
-        OperationKind::Access { .. } => (Property::Access, false),
-        OperationKind::CompensationMode { .. } => (Property::CompensationMode, false),
-        OperationKind::CameraShown(_) => (Property::Camera, false),
-        OperationKind::Annotated(annotation) => (Property::Annotation(annotation.id), false),
-        OperationKind::AnnotationRemoved { id } => (Property::Annotation(*id), true),
-        OperationKind::Invited { id, .. } => (Property::Invitation(*id), false),
-        OperationKind::InvitationUsed { id } | OperationKind::InvitationRevoked { id } => {
-            (Property::Invitation(*id), true)
-        }
-        _ => return None,
-    })
-}
-
-/// Later operations that supersede earlier ones, while the log is read backwards.
-#[derive(Debug, Default)]
-struct Superseding {
-    /// Participants who left more than [`KEPT`] ago.
-    left: BTreeSet<ParticipantId>,
-    /// Participants who reconnected more than [`KEPT`] ago.
-    reconnected: BTreeSet<ParticipantId>,
-    restored: BTreeSet<ParticipantId>,
-    /// Properties with a later value.
-    set: BTreeSet<Property>,
-    /// The freeze in force.
-    frozen_by: Option<OperationId>,
-}
-
-impl Superseding {
-    fn fate(&mut self, operation: &Operation, now: ServerTime) -> Fate {
-        let fate = self.fate_of_value(operation, now);
-        let has_left = about(&operation.kind).is_some_and(|who| self.left.contains(&who));
-        // A tool that was inactive during a freeze is no longer held, although it is active again.
-        let ends_hold = !has_left
-            && self.frozen_by.is_some_and(|freeze| operation.id > freeze)
-            && matches!(
-                operation.kind,
-                OperationKind::Muted { .. }
-                    | OperationKind::Disconnected { .. }
-                    | OperationKind::Reconnected { .. }
-                    | OperationKind::Demoted { .. }
-                    | OperationKind::Restored { .. }
-            );
-        if ends_hold { Fate::Kept } else { fate }
-    }
-
-    /// Whether later operations contain the effect of an operation.
-    fn fate_of_value(&mut self, operation: &Operation, now: ServerTime) -> Fate {
-        let is_old = now - operation.at >= KEPT;
-        if let Some((property, is_initial)) = sets(&operation.kind) {
-            if !self.set.insert(property) {
-                return Fate::Replaced;
-            }
-            // Clients drop an expired invitation on their own.
-            let is_expired = matches!(&operation.kind, OperationKind::Invited { expires_at, .. } if now >= *expires_at);
-            if is_old && (is_initial || is_expired) {
-                return Fate::Dropped;
-            }
-        }
-        let Some(who) = about(&operation.kind).filter(|_| is_old) else {
-            return Fate::Kept;
-        };
-        if matches!(operation.kind, OperationKind::Left { .. }) {
-            self.left.insert(who);
-        }
-        let is_superseded = match operation.kind {
-            OperationKind::Reconnected { .. } => {
-                self.reconnected.insert(who);
-                true
-            }
-            OperationKind::Disconnected { .. } => self.reconnected.contains(&who),
-            OperationKind::Restored { .. } => {
-                self.restored.insert(who);
-                true
-            }
-            OperationKind::Demoted { .. } => self.restored.contains(&who),
-            _ => false,
-        };
-        if is_superseded || self.left.contains(&who) {
-            Fate::Dropped
-        } else {
-            Fate::Kept
-        }
-    }
-}
-
-/// The participant whom an operation is about; `None` for operations about the tissue and the session.
-fn about(kind: &OperationKind) -> Option<ParticipantId> {
-    match kind {
-        OperationKind::Joined { participant, .. }
-        | OperationKind::Left { participant, .. }
-        | OperationKind::Disconnected { participant }
-        | OperationKind::Reconnected { participant }
-        | OperationKind::ToolChanged { participant, .. }
-        | OperationKind::Demoted { participant, .. }
-        | OperationKind::Restored { participant }
-        | OperationKind::Muted { participant, .. }
-        | OperationKind::ForceLimit { participant, .. }
-        | OperationKind::Emulated { participant, .. } => Some(*participant),
-        OperationKind::Cut(_)
-        | OperationKind::Started { .. }
-        | OperationKind::Compensation { .. }
-        | OperationKind::Frozen { .. }
-        | OperationKind::Reset
-        | OperationKind::Undone
-        | OperationKind::Redone
-        | OperationKind::Access { .. }
-        | OperationKind::CompensationMode { .. }
-        | OperationKind::Annotated(_)
-        | OperationKind::AnnotationRemoved { .. }
-        | OperationKind::CameraShown(_)
-        | OperationKind::Invited { .. }
-        | OperationKind::InvitationUsed { .. }
-        | OperationKind::InvitationRevoked { .. } => None,
+        self.uncovered.returns < RETURNS_MAX
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use palpate_protocol::control::{ANNOTATION_MAX_BYTES, Annotation};
-    use palpate_protocol::examples::annotation;
-    use palpate_protocol::handshake::ROSTER_MAX;
-    use palpate_protocol::operation::{
-        BladePoint, CutStroke, HeldTool, LeaveReason, STROKE_MAX_POINTS,
-    };
-    use palpate_protocol::session::STREAM_BACKLOG_MAX_BYTES;
-    use palpate_protocol::tool::ToolDescription;
-    use palpate_protocol::{Pose, Role, TopologyHash};
-    use proptest::prelude::*;
-
-    use super::*;
-
-    fn at(s: i64) -> ServerTime {
-        ServerTime::from_micros(s * 1_000_000)
-    }
-
-    fn add(log: &mut Log, second: i64, kind: OperationKind) -> u64 {
-        log.push(Arc::new(Operation {
-            id: log.next(),
-            at: at(second),
-            author: ParticipantId(u16::MAX),
-            topology_version_before: u32::MAX,
-            topology_version_after: u32::MAX,
-            hash_after: TopologyHash(u64::MAX),
-            kind,
-        }))
-    }
-
-    fn stroke(points: usize) -> OperationKind {
-        let blade = BladePoint {
-            tip_m: [0.123; 3],
-            axis: [0.0, 0.0, 1.0],
-            depth_m: 0.03,
-        };
-        OperationKind::Cut(CutStroke {
-            began: ServerTime::ZERO,
-            joins: false,
-            points: vec![blade; points],
-            width_m: 0.001,
-        })
-    }
-
-    fn joined(who: u16) -> OperationKind {
-        OperationKind::Joined {
-            participant: ParticipantId(who),
-            name: "x".repeat(64),
-            role: Role::Trainee,
-            tool: Some(ToolDescription::scalpel(0.001, 0.02)),
-        }
-    }
-
-    /// The bytes of the log on the wire.
-    fn bytes(log: &Log) -> usize {
-        let frame = |o: &Arc<Operation>| {
-            encode_frame(&ServerMessage::Operation(o.as_ref().clone())).unwrap()
-        };
-        log.since(OperationId(0))
-            .iter()
-            .map(|o| frame(o).len())
-            .sum()
-    }
-
-    #[test]
-    fn full_log_of_longest_operations_fits_a_new_client() {
-        for points in [2, STROKE_MAX_POINTS] {
-            let mut log = Log::default();
-            while log.takes_cut(0) {
-                add(&mut log, 0, stroke(points));
-            }
-            assert!(log.len() > 900, "{} strokes", log.len());
-            while log.takes_delay() {
-                let change = OperationKind::Compensation {
-                    delay_us: u32::MAX,
-                    effective_at: at(i64::from(u32::MAX)),
-                };
-                add(&mut log, 0, change);
-            }
-            while log.takes_seat() {
-                add(&mut log, 0, joined(u16::MAX));
-            }
-            // One burst of freezes with all tools, the rest annotations.
-            let held = HeldTool {
-                participant: ParticipantId(u16::MAX),
-                pose: Pose::IDENTITY,
-                buttons: 0,
-            };
-            let frozen = OperationKind::Frozen {
-                is_frozen: true,
-                held: vec![held; ROSTER_MAX],
-            };
-            for _ in 0..128 {
-                add(&mut log, 0, frozen.clone());
-            }
-            let annotation = Annotation {
-                text: "x".repeat(ANNOTATION_MAX_BYTES),
-                ..annotation()
-            };
-            while log.takes_control() {
-                add(&mut log, 0, OperationKind::Annotated(annotation.clone()));
-            }
-            while log.takes_return() {
-                add(&mut log, 0, OperationKind::Undone);
-            }
-            assert!(log.len() <= 26_900, "{}", log.len());
-            assert!(bytes(&log) + FRAME_MAX_BYTES < STREAM_BACKLOG_MAX_BYTES);
-        }
-    }
-
-    #[test]
-    fn newcomers_read_nothing_about_departed_participants() {
-        let who = ParticipantId(7);
-        let mut log = Log::default();
-        add(&mut log, 0, joined(7));
-        add(&mut log, 0, joined(8));
-        add(
-            &mut log,
-            10,
-            OperationKind::Disconnected { participant: who },
-        );
-        add(
-            &mut log,
-            11,
-            OperationKind::Reconnected { participant: who },
-        );
-        add(&mut log, 20, stroke(2));
-        add(
-            &mut log,
-            30,
-            OperationKind::Disconnected { participant: who },
-        );
-        log.compact(at(90));
-        assert_eq!(log.len(), 4, "the reconnect and its loss are dropped");
-        assert_eq!(log.complete_from(), OperationId(4));
-        let reason = LeaveReason::Silent;
-        let left = OperationKind::Left {
-            participant: who,
-            reason,
-        };
-        add(&mut log, 91, left);
-        log.compact(at(160));
-        assert_eq!(
-            log.len(),
-            5,
-            "a client may still resume without the last minute"
-        );
-        log.compact(at(162));
-        let kept: Vec<u64> = log.since(OperationId(0)).iter().map(|o| o.id.0).collect();
-        assert_eq!(kept, [1, 4], "the other participant and the cut");
-        assert_eq!(log.next(), OperationId(7));
-        assert_eq!(log.complete_from(), OperationId(7));
-        assert_eq!(log.last_before(OperationId(4)).unwrap().id.0, 1);
-        assert_eq!(log.last_before(OperationId(7)).unwrap().id.0, 4);
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(16))]
-
-        /// One author cuts as much as it may, also under new numbers.
-        #[test]
-        fn other_authors_still_cut_whatever_one_author_does(
-            cuts in prop::collection::vec((1_usize..STROKE_MAX_POINTS, any::<bool>()), 1..50),
-            others in 0_u64..2_000_000,
-        ) {
-            let mut log = Log::default();
-            let (mut departed, mut used) = (0, 0);
-            for (points, rejoins) in cuts.into_iter().cycle().take(8_000) {
-                if rejoins {
-                    // A newcomer inherits the space of those who left.
-                    departed = used;
-                }
-                if log.takes_cut(used) {
-                    used += add(&mut log, 0, stroke(points));
-                }
-            }
-            prop_assert!(departed <= used);
-            prop_assert!(log.takes_cut(others), "{} used of the log", used);
-        }
-
-        #[test]
-        fn churn_of_participants_keeps_the_log_short(
-            steps in prop::collection::vec((0_u16..4, any::<bool>()), 1..100),
-        ) {
-            let mut log = Log::default();
-            let mut who = 0;
-            for (second, (joins, leaves)) in (0..4000).zip(steps.iter().cycle()) {
-                for _ in 0..*joins {
-                    who += 1;
-                    add(&mut log, second, joined(who));
-                    if *leaves {
-                        let reason = LeaveReason::Left;
-                        add(&mut log, second, OperationKind::Left { participant: ParticipantId(who), reason });
-                    } else {
-                        add(&mut log, second, OperationKind::Disconnected { participant: ParticipantId(who) });
-                        add(&mut log, second, OperationKind::Left { participant: ParticipantId(who), reason: LeaveReason::Silent });
-                    }
-                }
-                log.compact(at(second));
-            }
-            prop_assert!(log.len() <= 72 * 4 * 3);
-            prop_assert!(log.about_participants == log.len());
-        }
-    }
-}
+mod tests;

@@ -31,7 +31,7 @@ use crate::cut_queue::CutQueue;
 use crate::fan_out::FanOut;
 use crate::joins::Joins;
 use crate::limits::{Limit, LimitCounters};
-use crate::log::Log;
+use crate::log::{Log, TopologyState};
 use crate::participant::Participant;
 use crate::request_history::Repetition;
 
@@ -68,8 +68,9 @@ pub enum Output {
 /// tissue, so that it relays motion at once.
 pub struct Room {
     config: RoomConfig,
-    /// Topology hash by version; the last one belongs to the newest cut in the log.
-    hashes: Vec<TopologyHash>,
+    uncut: TopologyHash,
+    /// After the newest cut in the log.
+    topology: TopologyState,
     participants: BTreeMap<ParticipantId, Participant>,
     by_peer: BTreeMap<PeerKey, ParticipantId>,
     next_participant: u16,
@@ -108,7 +109,8 @@ impl Room {
     /// An empty session over tissue with this hash of the uncut topology.
     pub fn new(uncut: TopologyHash, config: RoomConfig, now: ServerTime) -> Self {
         Self {
-            hashes: vec![uncut],
+            uncut,
+            topology: (0, uncut),
             participants: BTreeMap::new(),
             by_peer: BTreeMap::new(),
             next_participant: 1,
@@ -235,6 +237,7 @@ impl Room {
                 result,
                 took,
             } => self.handle_cut(author, request, result, took, now),
+            TissueReport::Snapshot { version, bytes } => self.handle_snapshot(version, &bytes),
         }
     }
 
@@ -252,9 +255,17 @@ impl Room {
     }
 
     fn check_topology(&self, version: u32, hash: TopologyHash) -> Result<(), RequestRefusal> {
-        match self.hashes.get(version as usize) {
-            Some(ours) if *ours == hash => Ok(()),
-            _ => Err(RequestRefusal::TopologyDiffers),
+        let (newest, newest_hash) = self.topology;
+        let is_ours = if version == newest {
+            hash == newest_hash
+        } else {
+            // A version that the log no longer has is too old to compare.
+            version < newest && self.log.hash_of(version).is_none_or(|ours| ours == hash)
+        };
+        if is_ours {
+            Ok(())
+        } else {
+            Err(RequestRefusal::TopologyDiffers)
         }
     }
 
@@ -459,15 +470,15 @@ impl Room {
 
     /// Version and hash of the topology.
     pub fn topology(&self) -> (u32, TopologyHash) {
-        (self.version(), self.hash())
+        self.topology
     }
 
     fn version(&self) -> u32 {
-        self.hashes.len() as u32 - 1
+        self.topology.0
     }
 
     fn hash(&self) -> TopologyHash {
-        self.hashes[self.hashes.len() - 1]
+        self.topology.1
     }
 
     /// Number of ticks skipped because the tissue was busy.

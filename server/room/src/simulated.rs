@@ -45,6 +45,11 @@ impl SimulatedRoom {
         self.answer(now, stop)
     }
 
+    /// Takes a snapshot for newcomers now, instead of after many cuts.
+    pub fn take_snapshot(&mut self, now: ServerTime) {
+        self.room.handle_report(self.cutter.snapshot(), now);
+    }
+
     /// Connected components of the cells. Visits the whole model.
     pub fn components(&self) -> usize {
         self.cutter.components()
@@ -67,6 +72,7 @@ impl SimulatedRoom {
                     }
                     report
                 }
+                TissueOrder::Snapshot => self.cutter.snapshot(),
                 TissueOrder::Apply { version, at } => {
                     self.authority.apply(version, at);
                     continue;

@@ -26,6 +26,7 @@ mod invitations;
 mod late_join;
 mod motion;
 mod seats;
+mod snapshots;
 mod stalls;
 mod states;
 mod thin;

@@ -384,6 +384,7 @@ impl Pages {
             PeerMessage::Invitation(invitation) => self.show_invitation(page, invitation, room),
             PeerMessage::Goodbye(sentence) => self.view.goodbye(page, sentence),
             // Pages see the state and the tissue, not the log.
+            PeerMessage::Snapshot(_) => {}
             PeerMessage::Operation(operation) => {
                 let Some(player) = self.players.get_mut(&page) else {
                     return true;

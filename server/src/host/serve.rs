@@ -336,6 +336,9 @@ impl Session {
                 self.cuts_us.saturating_record(us.max(1));
                 tracing::debug!(us, prepared = result.is_ok(), "cut");
             }
+            TissueReport::Snapshot { version, bytes } => {
+                tracing::debug!(us, version, bytes = bytes.len(), "snapshot");
+            }
         }
         self.room
             .handle_report(answer.report, server_time(self.began));

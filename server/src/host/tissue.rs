@@ -31,6 +31,12 @@ enum Work {
     End,
 }
 
+/// Work for the thread that prepares cuts.
+enum CutWork {
+    Cut(Box<CutJob>),
+    Snapshot,
+}
+
 /// The two threads.
 pub(super) struct TissueThreads {
     work: Sender<Work>,
@@ -112,7 +118,7 @@ fn solver_pool() -> Result<rayon::ThreadPool, ServerError> {
 struct Settler {
     authority: Authority,
     limit_ns: i64,
-    jobs: Sender<CutJob>,
+    jobs: Sender<CutWork>,
     answer: async_mpsc::UnboundedSender<Answer>,
     feed: Option<Feed>,
 }
@@ -129,7 +135,11 @@ impl Settler {
                 }
                 Work::Order(TissueOrder::Cut(order)) => {
                     // The cut thread lives while this one holds a sender of its queue.
-                    let _ = self.jobs.send(self.authority.job(&order));
+                    let job = Box::new(self.authority.job(&order));
+                    let _ = self.jobs.send(CutWork::Cut(job));
+                }
+                Work::Order(TissueOrder::Snapshot) => {
+                    let _ = self.jobs.send(CutWork::Snapshot);
                 }
                 Work::Order(TissueOrder::Settle(order)) => {
                     let (began_ns, worked_ns) = (threads::monotonic_ns(), threads::worked_ns());
@@ -152,16 +162,19 @@ impl Settler {
     }
 }
 
-/// Prepares cuts until the queue closes. Returns the newest topology.
+/// Prepares cuts and takes snapshots until the queue closes. Returns the newest topology.
 fn cut_all(
     mut cutter: Cutter,
-    jobs: &Receiver<CutJob>,
+    jobs: &Receiver<CutWork>,
     prepared: &Sender<Work>,
     answer: &async_mpsc::UnboundedSender<Answer>,
 ) -> Cutter {
     for job in jobs {
         let (began_ns, worked_ns) = (threads::monotonic_ns(), threads::worked_ns());
-        let (mut report, cut) = cutter.make(&job);
+        let (mut report, cut) = match job {
+            CutWork::Cut(job) => cutter.make(&job),
+            CutWork::Snapshot => (cutter.snapshot(), None),
+        };
         if let TissueReport::Cut { took, .. } = &mut report {
             *took = Span::from_micros((threads::worked_ns() - worked_ns) / 1000);
         }

@@ -111,12 +111,12 @@ fn gradual(built: &Topology, top: f64) {
     let start = Instant::now();
     let parts = tissue.cut(&whole).is_ok();
     println!("tissue with solver: {:.2?}, cut: {parts}", start.elapsed());
-    let (t, shape) = (tissue.topology(), tissue.shape());
+    let (t, history) = (tissue.topology(), tissue.history());
     let start = Instant::now();
-    let bytes = snapshot(t, shape);
+    let bytes = snapshot(t, history);
     let taken = start.elapsed();
     let start = Instant::now();
-    let restored = restore(Arc::clone(t.model()), &bytes);
+    let restored = restore(history.uncut(), &bytes);
     let same = restored.is_ok_and(|r| r.0.hash() == t.hash());
     println!(
         "snapshot {} bytes in {taken:.1?}, restored in {:.1?}, same hash: {same}",

@@ -36,6 +36,47 @@ impl CutHistory {
         }
     }
 
+    /// The strokes of a snapshot.
+    pub(crate) fn of_strokes(
+        uncut: Arc<Topology>,
+        done: Vec<Arc<StrokePart>>,
+        undone: Vec<Vec<Arc<StrokePart>>>,
+    ) -> Self {
+        Self {
+            done,
+            undone,
+            ..Self::new(uncut)
+        }
+    }
+
+    /// The topology without any stroke.
+    pub fn uncut(&self) -> &Arc<Topology> {
+        &self.uncut
+    }
+
+    /// Numbers of the strokes in effect, then of those taken back; the latest last.
+    pub fn stroke_numbers(&self) -> [Vec<u64>; 2] {
+        let mut done: Vec<u64> = Vec::new();
+        for stroke in self.done.iter().rev().filter_map(|part| part.stroke) {
+            if done.last() != Some(&stroke) && !done.contains(&stroke) {
+                done.push(stroke);
+            }
+        }
+        done.reverse();
+        let undone = self.undone.iter().filter_map(|stroke| stroke.first());
+        [done, undone.filter_map(|part| part.stroke).collect()]
+    }
+
+    /// Parts of strokes in effect, in order.
+    pub(crate) fn done(&self) -> &[Arc<StrokePart>] {
+        &self.done
+    }
+
+    /// Strokes taken back, the latest last.
+    pub(crate) fn undone(&self) -> &[Vec<Arc<StrokePart>>] {
+        &self.undone
+    }
+
     /// Whether a stroke is in effect.
     pub fn can_undo(&self) -> bool {
         !self.done.is_empty()
@@ -143,6 +184,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::snapshot::{restore, snapshot};
     use crate::{BladePoint, CutStroke, Material, Shape, TopologyHash, Vec3, block};
 
     const CELL: f64 = 4e-3;
@@ -218,6 +260,8 @@ mod tests {
         Undo,
         Redo,
         Reset,
+        /// Continues as a late participant does.
+        Restore,
     }
 
     fn step() -> impl Strategy<Value = Step> {
@@ -227,6 +271,7 @@ mod tests {
             2 => Just(Step::Undo),
             2 => Just(Step::Redo),
             1 => Just(Step::Reset),
+            2 => Just(Step::Restore),
         ]
     }
 
@@ -297,6 +342,13 @@ mod tests {
                         (done, undone) = Default::default();
                         for blade in &mut blades { blade.joins = false; }
                         Some(history.reset(&mut topology))
+                    }
+                    Step::Restore => {
+                        let bytes = snapshot(&topology, &history);
+                        let before = Arc::clone(&topology);
+                        (topology, history) = restore(&uncut, &bytes).unwrap();
+                        prop_assert_eq!(topology.boundary(), before.boundary());
+                        None
                     }
                 };
                 prop_assert_eq!(topology.version(), version + u32::from(outcome.is_some()));

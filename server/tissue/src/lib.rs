@@ -54,6 +54,7 @@ mod rows;
 mod shape;
 pub mod snapshot;
 pub mod springs;
+mod stroke_list;
 mod tissue;
 mod topology;
 

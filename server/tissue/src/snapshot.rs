@@ -1,16 +1,16 @@
-//! A snapshot: all changes of a model by cuts and tools, as bytes.
+//! A snapshot: all cuts of a topology and the strokes to undo and redo them, as bytes.
 //!
-//! It refers to the model it was taken of, and holds only differences. The content, inside the same envelope as
-//! a model file:
+//! A late participant restores it instead of repeating every cut. It refers to the uncut topology of the model, and
+//! holds only differences. The content, inside the same envelope as a model file:
 //!
 //! ```text
-//! model      its hash, node and cell counts
-//! counts     version, nodes, rewired cells, opened faces (u32 each)
+//! uncut      hash of the uncut topology, its node and cell counts
+//! counts     version, nodes, rewired cells, opened faces (u32 each), hash of the topology
 //! cells      number (as steps), eight columns of corners, cut bits of each rewired cell
 //! opened     the opened faces, in order
 //! diagonals  one byte per face of the surface: which diagonal splits it
 //! rest       three columns of f64 bits, XOR those of the model's node (for a doubled node: its original)
-//! shape      three columns of f64 bits of the displacements
+//! strokes    the strokes in effect and those taken back, see `stroke_list.rs`
 //! ```
 //!
 //! Masses, volumes and triangles are functions of these and are derived again.
@@ -22,12 +22,13 @@ use crate::cell::{FACES, NO_CELL};
 use crate::cut::derive_around;
 use crate::file::{Content, FileError, Reader, open, seal};
 use crate::limits::NODES_MAX;
-use crate::{FaceId, Model, Shape, Topology, Vec3};
+use crate::stroke_list::{read_strokes, write_strokes};
+use crate::{CutHistory, FaceId, Model, Topology, Vec3};
 
 const MAGIC: [u8; 8] = *b"palpsnap";
 /// Version of the snapshot format that this program writes and reads.
-pub const SNAPSHOT_FORMAT: u32 = 1;
-/// Largest coordinate of a rest position or displacement, in m; a larger one means damage.
+pub const SNAPSHOT_FORMAT: u32 = 2;
+/// Largest coordinate of a rest position, in m; a larger one means damage.
 const POSITION_MAX_M: f64 = 1e5;
 
 /// Identifies a model: equal hashes mean the same nodes, cells and materials, bit by bit. Names and sources of
@@ -59,8 +60,8 @@ pub fn model_hash(model: &Model) -> u64 {
     hasher.digest()
 }
 
-/// The state of a topology and a shape of it.
-pub fn snapshot(topology: &Topology, shape: &Shape) -> Vec<u8> {
+/// The cuts of a topology and their history.
+pub fn snapshot(topology: &Topology, history: &CutHistory) -> Vec<u8> {
     let model = &topology.model;
     let rewired: Vec<u32> = (0..topology.cell_count() as u32)
         .filter(|&c| {
@@ -71,7 +72,7 @@ pub fn snapshot(topology: &Topology, shape: &Shape) -> Vec<u8> {
     let boundary = topology.boundary();
     let opened = topology.cut_index.opened.len();
     let mut out = Content::default();
-    out.u64(model_hash(model));
+    out.u64(history.uncut().hash().0);
     for count in [model.nodes.len(), model.cells.len()] {
         out.u32(count as u32);
     }
@@ -83,6 +84,7 @@ pub fn snapshot(topology: &Topology, shape: &Shape) -> Vec<u8> {
     ] {
         out.u32(count as u32);
     }
+    out.u64(topology.hash().0);
     out.steps32(rewired.iter().copied());
     for corner in 0..8 {
         out.steps32(
@@ -106,49 +108,55 @@ pub fn snapshot(topology: &Topology, shape: &Shape) -> Vec<u8> {
         let columns = topology.rest.iter().zip(&originals);
         out.plane64(&columns.map(|(p, o)| p[axis].to_bits() ^ o[axis].to_bits()));
     }
-    for axis in 0..3 {
-        out.plane64(&shape.displacement.iter().map(|d| d[axis].to_bits()));
-    }
+    write_strokes(&mut out, history);
     seal(MAGIC, SNAPSHOT_FORMAT, &out.0)
 }
 
-/// Restores a snapshot onto the model it was taken of: topology and shape have the same hashes as at the time.
-pub fn restore(model: Arc<Model>, bytes: &[u8]) -> Result<(Topology, Shape), FileError> {
+/// Restores a snapshot onto the uncut topology that it was taken of: all later cuts, undos and redos give the same
+/// topologies as on the original.
+pub fn restore(
+    uncut: &Arc<Topology>,
+    bytes: &[u8],
+) -> Result<(Arc<Topology>, CutHistory), FileError> {
     let content = open(MAGIC, SNAPSHOT_FORMAT, bytes)
         .map_err(|defect| FileError(format!("invalid snapshot: {defect}")))?;
-    restore_content(model, &content).map_err(|defect| {
+    restore_content(uncut, &content).map_err(|defect| {
         FileError(format!(
             "inconsistent snapshot: it {defect}; request another"
         ))
     })
 }
 
-fn restore_content(model: Arc<Model>, content: &[u8]) -> Result<(Topology, Shape), String> {
+fn restore_content(
+    uncut: &Arc<Topology>,
+    content: &[u8],
+) -> Result<(Arc<Topology>, CutHistory), String> {
     let mut reader = Reader(content);
-    let (found, expected) = (reader.u64()?, model_hash(&model));
+    let (found, expected) = (reader.u64()?, uncut.hash().0);
     if found != expected {
         return Err(format!(
-            "was taken of model {found:016x}, and this is model {expected:016x}"
+            "was taken of uncut topology {found:016x}, and this is {expected:016x}"
         ));
     }
-    let built = model.nodes.len();
-    if reader.u32()? as usize != built || reader.u32()? as usize != model.cells.len() {
+    let built = uncut.node_count();
+    if reader.u32()? as usize != built || reader.u32()? as usize != uncut.cell_count() {
         return Err("has other node or cell counts than the model".into());
     }
     let version = reader.u32()?;
     let nodes = reader.u32()? as usize;
     let rewired = reader.u32()? as usize;
     let opened = reader.u32()? as usize;
-    if nodes < built || nodes > 2 * NODES_MAX || rewired > model.cells.len() {
+    let hash = reader.u64()?;
+    if nodes < built || nodes > 2 * NODES_MAX || rewired > uncut.cell_count() {
         return Err("declares counts out of range".into());
     }
-    let mut topology = Topology::new(model);
+    let mut topology = uncut.as_ref().clone();
     let mut changed = rewire(&mut topology, &mut reader, nodes, rewired)?;
     changed.extend(built as u32..nodes as u32);
     let faces = reader.steps32(opened)?;
     let diagonals = reader.bytes(topology.boundary().faces.len() + opened)?;
     read_rest(&mut topology, &mut reader, &mut changed)?;
-    let displacement = read_points(&mut reader, nodes, |_| Vec3::zeros())?;
+    let (done, undone) = read_strokes(&mut reader)?;
     if !reader.0.is_empty() {
         return Err("is followed by more".into());
     }
@@ -156,7 +164,14 @@ fn restore_content(model: Arc<Model>, content: &[u8]) -> Result<(Topology, Shape
     derive_around(&mut topology, &changed);
     topology.hash_anew();
     topology.version = version;
-    Ok((topology, Shape { displacement }))
+    if topology.hash().0 != hash {
+        return Err(format!(
+            "restores topology {} instead of {hash:016x}",
+            topology.hash()
+        ));
+    }
+    let history = CutHistory::of_strokes(Arc::clone(uncut), done, undone);
+    Ok((Arc::new(topology), history))
 }
 
 /// Stores corners and cut bits, validates them, and makes room for the nodes. Returns the nodes around.

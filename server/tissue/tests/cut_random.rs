@@ -7,8 +7,8 @@ mod cut_laws;
 use std::sync::Arc;
 
 use cut_laws::Outline;
-use palpate_tissue::snapshot::{model_hash, restore, snapshot};
-use palpate_tissue::{BladePoint, CutStroke, Model, Shape, Topology, Vec3, block, cut};
+use palpate_tissue::snapshot::{restore, snapshot};
+use palpate_tissue::{BladePoint, CutHistory, CutStroke, Model, Topology, Vec3, block, cut};
 use proptest::prelude::*;
 
 const D: f64 = 0.004;
@@ -89,17 +89,14 @@ proptest! {
         }
         prop_assert_eq!(again.hash(), t.hash());
         prop_assert_eq!(again.boundary(), t.boundary());
-        let mut shape = Shape::rest(&t);
-        for (i, u) in shape.displacement.iter_mut().enumerate() {
-            *u += Vec3::new(i as f64, 1.0, -0.5) * 1e-7;
-        }
-        let (back, back_shape) = restore(Arc::clone(&model), &snapshot(&t, &shape)).unwrap();
+        let uncut = Arc::new(Topology::new(model));
+        let bytes = snapshot(&t, &CutHistory::new(Arc::clone(&uncut)));
+        let (back, _) = restore(&uncut, &bytes).unwrap();
         prop_assert_eq!(back.hash(), t.hash());
-        prop_assert_eq!(back_shape.hash(), shape.hash());
         prop_assert_eq!(back.boundary(), t.boundary());
         cut_laws::check_derived(&back);
         // The restored topology can be cut in the same way.
-        let mut back = back;
+        let mut back = Arc::unwrap_or_clone(back);
         for s in strokes.iter().rev() {
             prop_assert_eq!(cut(&mut back, s), cut(&mut t, s));
         }
@@ -107,52 +104,50 @@ proptest! {
     }
 }
 
-fn one_cut() -> (Arc<Model>, Topology, Shape) {
-    let model = model(1);
-    let mut t = Topology::new(Arc::clone(&model));
-    let point = |y: f64| BladePoint {
-        tip: Vec3::new(3.3 * D, y * D, 2.2 * D),
-        axis: Vec3::z(),
-        depth_m: 3.0 * D,
-    };
-    let points = vec![point(-1.0), point(7.0)];
-    cut(
-        &mut t,
-        &CutStroke {
-            points,
+/// The uncut topology, and a snapshot of it with two strokes, of which one was taken back.
+fn two_strokes() -> (Arc<Topology>, Vec<u8>) {
+    let uncut = Arc::new(Topology::new(model(1)));
+    let mut t = Arc::clone(&uncut);
+    let mut history = CutHistory::new(Arc::clone(&uncut));
+    for x in [3.3, 5.2] {
+        let point = |y: f64| BladePoint {
+            tip: Vec3::new(x * D, y * D, 2.2 * D),
+            axis: Vec3::z(),
+            depth_m: 3.0 * D,
+        };
+        let stroke = CutStroke {
+            points: vec![point(-1.0), point(7.0)],
             width_m: 0.0,
-        },
-    )
-    .unwrap();
-    let shape = Shape::rest(&t);
-    (model, t, shape)
+        };
+        history.cut(&mut t, (&stroke).into()).unwrap();
+    }
+    history.undo(&mut t).unwrap();
+    let bytes = snapshot(&t, &history);
+    (uncut, bytes)
 }
 
 #[test]
 fn damaged_snapshot_is_rejected() {
-    let (model, t, shape) = one_cut();
-    let good = snapshot(&t, &shape);
-    assert!(restore(Arc::clone(&model), &good).is_ok());
+    let (uncut, good) = two_strokes();
+    let (_, history) = restore(&uncut, &good).unwrap();
+    assert!(history.can_undo() && history.can_redo());
     for at in 0..good.len() {
         let mut bad = good.clone();
         bad[at] ^= 0x41;
-        assert!(restore(Arc::clone(&model), &bad).is_err(), "byte {at}");
+        assert!(restore(&uncut, &bad).is_err(), "byte {at}");
     }
     for at in (0..good.len()).step_by(7) {
-        assert!(
-            restore(Arc::clone(&model), &good[..at]).is_err(),
-            "length {at}"
-        );
+        assert!(restore(&uncut, &good[..at]).is_err(), "length {at}");
     }
 }
 
 #[test]
 fn snapshot_of_another_model_is_rejected() {
-    let (_, t, shape) = one_cut();
+    let (uncut, bytes) = two_strokes();
     let other = block([7, 6, 6], D, &cut_laws::rubber(), 1);
-    let hashes = [t.model().as_ref(), &other].map(|m| format!("{:016x}", model_hash(m)));
-    let error = restore(Arc::new(other), &snapshot(&t, &shape)).unwrap_err();
-    let [taken, this] = &hashes;
-    let expected = format!("was taken of model {taken}, and this is model {this}");
-    assert!(error.to_string().contains(&expected), "{error}");
+    let other = Arc::new(Topology::new(Arc::new(other)));
+    let error = restore(&other, &bytes).unwrap_err().to_string();
+    let (taken, this) = (uncut.hash(), other.hash());
+    let expected = format!("was taken of uncut topology {taken}, and this is {this}");
+    assert!(error.contains(&expected), "{error}");
 }

@@ -286,6 +286,7 @@ fn welcome(topology: &Topology, delay: Span) -> Welcome {
         topology_version: topology.version(),
         topology_hash: TopologyHash(topology.hash().0),
         first_operation: OperationId(0),
+        snapshot: None,
         operations_so_far: 0,
         compensation: CompensationSettings {
             mode: CompensationMode::Fixed,

@@ -9,6 +9,7 @@ pub mod coding;
 pub mod cut_time;
 pub mod cuts;
 pub mod haptic_tick;
+pub mod late_join;
 pub mod press_cube;
 pub mod press_scene;
 mod quic;

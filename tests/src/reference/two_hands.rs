@@ -272,7 +272,7 @@ impl TwoHands {
                 Err(RequestRefusal::NothingCut | RequestRefusal::CanNotCut(_)) => Ok(None),
                 Err(refusal) => Err(ReferenceError::Cut(refusal.to_string())),
             },
-            TissueReport::Settled { .. } => Ok(None),
+            TissueReport::Settled { .. } | TissueReport::Snapshot { .. } => Ok(None),
         }
     }
 

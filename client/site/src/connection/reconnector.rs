@@ -108,6 +108,8 @@ struct Outage {
 pub struct Reconnector {
     hello: Hello,
     seat: Resume,
+    /// Topology version of the snapshot that the log continues. Before it the client has nothing to resume from.
+    resumable_from: u32,
     /// Whether the server no longer has the seat, so that the next attempt is a join.
     is_seat_gone: bool,
     /// The session; another one has another log.
@@ -138,6 +140,7 @@ impl Reconnector {
         Self {
             hello,
             seat: Resume::after_welcome(welcome, None),
+            resumable_from: resumable_from(welcome),
             is_seat_gone: false,
             epoch: welcome.epoch,
             patience,
@@ -220,7 +223,9 @@ impl Reconnector {
 
     /// Records the operation from which the next connection resumes.
     fn note(&mut self, operation: &Operation) {
-        self.seat.note(operation);
+        if operation.topology_version_after >= self.resumable_from {
+            self.seat.note(operation);
+        }
         match &operation.kind {
             OperationKind::ToolChanged { participant, tool }
                 if *participant == self.seat.participant =>
@@ -348,6 +353,7 @@ impl Reconnector {
             self.delay = DelaySchedule::new(&welcome.compensation);
         }
         self.seat = Resume::after_welcome(&welcome, Some(self.seat));
+        self.resumable_from = resumable_from(&welcome);
         self.state = State::Connected { silent_until: None };
         self.actions
             .push_back(Action::Deliver(ClientEvent::Welcomed(welcome)));
@@ -458,6 +464,11 @@ impl Reconnector {
         self.state = State::Ended;
         self.actions.push_back(Action::End(farewell));
     }
+}
+
+/// The log after a snapshot leaves out changes of the topology before it.
+fn resumable_from(welcome: &Welcome) -> u32 {
+    welcome.snapshot.map_or(0, |s| s.topology_version)
 }
 
 impl Outage {

@@ -108,7 +108,13 @@ impl Requests {
             && let OperationKind::Cut(part) = &operation.kind
         {
             self.strokes.note_cut(part);
-            // Only cuts are open, and the server answers them in order.
+            // Only cuts are open, and the server answers them in order. A snapshot can contain the answers of earlier
+            // strokes.
+            let is_earlier =
+                |r: &Request| matches!(&r.kind, RequestKind::Cut(cut) if cut.began < part.began);
+            while self.open.front().is_some_and(is_earlier) {
+                self.open.pop_front();
+            }
             self.open.pop_front();
         }
     }

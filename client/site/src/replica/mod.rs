@@ -22,6 +22,7 @@ use palpate_haptics::ContactModel;
 use palpate_protocol::operation::{Operation, OperationKind};
 use palpate_protocol::tool::part_owner;
 use palpate_protocol::{ClientTime, Span};
+use palpate_tissue::snapshot::restore;
 use palpate_tissue::{
     Budget, CutHistory, CutOutcome, Model, PreparedCut, Reaction, Retired, Shape, Tissue, Tool,
     Topology,
@@ -98,7 +99,8 @@ struct Thin {
 /// another thread.
 pub struct Replica {
     haptic: HandTissue,
-    /// `None` if it is detached, or for a thin subscriber.
+    with_hand: bool,
+    /// `None` if it is detached, during a replay, or for a thin subscriber.
     view: Option<View>,
     /// A thin subscriber has neither a hand nor a `view`.
     thin: Option<Thin>,
@@ -112,16 +114,22 @@ pub struct Replica {
 impl Replica {
     /// A replica of the uncut tissue; `with_hand` = false suits spectators and saves half the work.
     pub fn new(model: Arc<Model>, with_hand: bool) -> Self {
-        let view = View::new(Tissue::new(model));
+        let mut replica = Self::before_replay(model, with_hand);
+        replica.end_replay();
+        replica
+    }
+
+    /// A replica that receives a log with cuts before it has shapes: solvers take most of a second to build. Snapshot
+    /// and operations follow, then [`end_replay`](Self::end_replay).
+    pub(crate) fn before_replay(model: Arc<Model>, with_hand: bool) -> Self {
+        let topology = Arc::new(Topology::new(model));
+        let history = CutHistory::new(Arc::clone(&topology));
         Self {
-            haptic: if with_hand {
-                HandTissue::Present(Box::new(view.another_tissue()))
-            } else {
-                HandTissue::Absent(Arc::clone(view.topology()))
-            },
-            view: Some(view),
+            haptic: HandTissue::Absent(Arc::clone(&topology)),
+            with_hand,
+            view: None,
             thin: None,
-            replay: None,
+            replay: Some((topology, history)),
             tools: Vec::new(),
             others: ExternalWork::default(),
             cutting: CuttingForce::default(),
@@ -138,6 +146,7 @@ impl Replica {
                 history: CutHistory::new(Arc::clone(&topology)),
             }),
             haptic: HandTissue::Absent(topology),
+            with_hand: false,
             replay: None,
             tools: Vec::new(),
             others: ExternalWork::default(),
@@ -230,17 +239,43 @@ impl Replica {
         Ok(None)
     }
 
-    /// Applies an operation of the log before the join to the topology alone. [`end_replay`](Self::end_replay) follows.
-    pub(crate) fn replay(&mut self, operation: &Operation) -> Result<(), ReplicaError> {
-        let Some(tissue) = self.view.as_ref().map(View::tissue) else {
-            return self.apply(operation).map(drop);
+    /// The strokes of the newest topology; `None` while the view is detached.
+    pub fn history(&self) -> Option<&CutHistory> {
+        if let Some((_, history)) = &self.replay {
+            return Some(history);
+        }
+        let thin = self.thin.as_ref().map(|thin| &thin.history);
+        thin.or_else(|| Some(self.view.as_ref()?.tissue().history()))
+    }
+
+    /// Restores a snapshot of the log before the join, in place of all earlier cuts. [`end_replay`](Self::end_replay)
+    /// follows.
+    pub(crate) fn restore(&mut self, snapshot: &[u8]) -> Result<(), ReplicaError> {
+        let Some(history) = self.history() else {
+            return Ok(());
         };
-        if operation.kind.changes_topology() {
-            let begin = || (Arc::clone(tissue.topology()), tissue.history().clone());
-            let (topology, history) = self.replay.get_or_insert_with(begin);
-            repeat(topology, history, operation)?;
+        let restored = restore(history.uncut(), snapshot);
+        let (topology, history) = restored.map_err(|e| ReplicaError::Snapshot(e.to_string()))?;
+        if let Some(thin) = &mut self.thin {
+            thin.view = ThinView::new(&topology);
+            thin.history = history;
+            self.haptic = HandTissue::Absent(topology);
+        } else {
+            self.replay = Some((topology, history));
         }
         Ok(())
+    }
+
+    /// Applies an operation of the log before the join to the topology alone. [`end_replay`](Self::end_replay) follows.
+    pub(crate) fn replay(&mut self, operation: &Operation) -> Result<(), ReplicaError> {
+        if operation.kind.changes_topology() && self.replay.is_none() {
+            let tissue = self.view.as_ref().map(View::tissue);
+            self.replay = tissue.map(|t| (Arc::clone(t.topology()), t.history().clone()));
+        }
+        match &mut self.replay {
+            Some((topology, history)) => repeat(topology, history, operation).map(drop),
+            None => self.apply(operation).map(drop),
+        }
     }
 
     /// Builds both shapes of the replayed topology, at rest.
@@ -249,9 +284,10 @@ impl Replica {
             return;
         };
         let view = View::new(Tissue::with_history(topology, history));
-        self.haptic = match self.haptic {
-            HandTissue::Present(_) => HandTissue::Present(Box::new(view.another_tissue())),
-            HandTissue::Absent(_) => HandTissue::Absent(Arc::clone(view.topology())),
+        self.haptic = if self.with_hand {
+            HandTissue::Present(Box::new(view.another_tissue()))
+        } else {
+            HandTissue::Absent(Arc::clone(view.topology()))
         };
         self.view = Some(view);
     }

@@ -50,6 +50,9 @@ pub enum ReplicaError {
         /// Hash of this replica.
         found: TopologyHash,
     },
+    /// The snapshot of the session can not be restored.
+    #[error("{0}")]
+    Snapshot(String),
     /// The cut worker has stopped.
     #[error("{operation} can not be applied: the cut worker has stopped; rejoin the session")]
     Ended {

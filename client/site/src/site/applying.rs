@@ -1,8 +1,9 @@
 //! Applying operations of the log at their due time.
 
-use palpate_protocol::operation::{Operation, OperationKind};
+use palpate_protocol::operation::{CutStroke, Operation, OperationKind};
 use palpate_protocol::request::RequestKind;
 use palpate_protocol::{ClientTime, ParticipantId, ServerTime, Span, TopologyHash};
+use palpate_tissue::CutHistory;
 
 use super::controlled::Access;
 use super::cutting::is_cut;
@@ -42,6 +43,17 @@ impl Site {
                 break;
             }
         }
+        Ok(())
+    }
+
+    /// Begins with the cuts of a snapshot.
+    pub(super) fn restore_snapshot(&mut self, bytes: &[u8]) -> Result<(), SiteError> {
+        self.replica.restore(bytes)?;
+        let history = self.replica.history();
+        let strokes = history.map(CutHistory::stroke_numbers).unwrap_or_default();
+        self.counters.cuts = strokes.iter().map(|list| list.len() as u64).sum();
+        let seen = strokes.concat().into_iter();
+        self.strokes_seen = seen.map(|n| (CutStroke::author_of(n), n)).collect();
         Ok(())
     }
 

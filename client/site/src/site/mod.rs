@@ -97,7 +97,7 @@ pub enum ViewUpdate {
 pub struct SiteCounters {
     /// Operations applied.
     pub operations: u64,
-    /// Strokes that cut among them.
+    /// Strokes that cut among them and in the snapshot before them.
     pub cuts: u64,
     /// Cut requests that the server rejected.
     pub cuts_refused: u64,
@@ -162,12 +162,21 @@ pub struct Site {
     session: SessionState,
 }
 
+/// The replica of a full subscriber who has nothing of the log yet.
+fn full_replica(welcome: &Welcome, model: Arc<Model>) -> Replica {
+    let with_hand = welcome.role.has_tool();
+    if welcome.topology_version == 0 {
+        Replica::new(model, with_hand)
+    } else {
+        Replica::before_replay(model, with_hand)
+    }
+}
+
 impl Site {
     /// A site after its welcome, with the uncut model. `blade_length_m` is the length of this participant's blade, if
     /// any.
     pub fn new(welcome: &Welcome, model: Arc<Model>, blade_length_m: Option<f64>) -> Self {
-        let replica = Replica::new(model, welcome.role.has_tool());
-        Self::with(welcome, replica, blade_length_m)
+        Self::with(welcome, full_replica(welcome, model), blade_length_m)
     }
 
     fn with(welcome: &Welcome, replica: Replica, blade_length_m: Option<f64>) -> Self {
@@ -221,6 +230,7 @@ impl Site {
 
     fn take_event(&mut self, event: ClientEvent, now: ClientTime) -> Result<(), SiteError> {
         match event {
+            ClientEvent::Snapshot(bytes) => self.restore_snapshot(&bytes)?,
             ClientEvent::Operation(operation) => self.handle_operation(operation, now)?,
             ClientEvent::CaughtUp => {
                 if let Some((version, hash)) = self.expected.take() {
@@ -495,6 +505,8 @@ impl Site {
 
 #[cfg(test)]
 mod controlled_tests;
+#[cfg(test)]
+mod snapshot_tests;
 #[cfg(test)]
 mod states;
 #[cfg(test)]

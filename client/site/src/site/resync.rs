@@ -1,6 +1,6 @@
-//! Resync: rebuilds the replica from the server's log, in the same seat.
+//! Resync: rebuilds the replica from the server's snapshot and log, in the same seat.
 //!
-//! The site requests the whole log with [`Site::poll_resync`] and ignores further events of the old connection. The
+//! The site requests both with [`Site::poll_resync`] and ignores further events of the old connection. The
 //! connection's owner resumes the seat without any operation. The next welcome resets the site to the uncut model.
 //! Until the log is applied there is no force ([`Site::is_resyncing`]).
 
@@ -15,7 +15,7 @@ use palpate_protocol::{ClientTime, ServerTime};
 use super::controlled::SessionState;
 use super::cutting::Cuts;
 use super::resync_policy::{DRIFT_MAX_M, DRIFT_PATIENCE, RESYNCS_MAX, ResyncDecision, WINDOW};
-use super::{Site, SiteError};
+use super::{Site, SiteError, full_replica};
 use crate::replica::{Drift, Replica, ReplicaError};
 use crate::tools::Roster;
 
@@ -152,7 +152,7 @@ impl Site {
         self.replica = if self.is_thin() {
             Replica::thin(model)
         } else {
-            Replica::new(model, welcome.role.has_tool())
+            full_replica(welcome, model)
         };
         self.roster = Roster::new(&welcome.roster);
         self.session = SessionState::default();

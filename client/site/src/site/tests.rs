@@ -49,6 +49,7 @@ pub(super) fn welcome(delay_us: u32) -> Welcome {
         topology_version: 0,
         topology_hash: TopologyHash(topology.hash().0),
         first_operation: OperationId(0),
+        snapshot: None,
         operations_so_far: 0,
         compensation: CompensationSettings {
             mode: CompensationMode::Fixed,

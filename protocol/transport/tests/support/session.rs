@@ -89,6 +89,7 @@ pub(crate) fn welcome(participant: u16, operations_so_far: u64) -> PeerMessage {
         topology_version: 0,
         topology_hash: TopologyHash(1),
         first_operation: OperationId(0),
+        snapshot: None,
         operations_so_far,
         compensation: CompensationSettings {
             mode: CompensationMode::None,

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! request --shape, tool, log, budgets--> queue --turn--> preparation --charge--> log
+//!                                                                             log --due--> snapshot --> log
 //! ```
 
 use palpate_protocol::operation::OperationKind;
@@ -142,7 +143,7 @@ impl Room {
             Ok(cut) => {
                 let before = self.version();
                 self.count_stroke(author, &cut.change);
-                self.hashes.push(cut.hash);
+                self.topology = (cut.version, cut.hash);
                 let at = self.effect_of_cut(cut.blade_at, now);
                 let apply = TissueOrder::Apply {
                     version: cut.version,
@@ -154,8 +155,22 @@ impl Room {
                     Some(author) => author.cuts.note_log(bytes),
                     None => self.departed_log += bytes,
                 }
+                if self.log.poll_snapshot_due() {
+                    self.orders.push_back(TissueOrder::Snapshot);
+                }
             }
             Err(reason) => self.note_refusal(author, request, reason),
+        }
+    }
+
+    /// Replaces the snapshot for newcomers. The cuts that it covers no longer count.
+    pub(super) fn handle_snapshot(&mut self, version: u32, bytes: &[u8]) {
+        if !self.log.cover(version, bytes) {
+            return self.limits.count(Limit::Snapshot);
+        }
+        self.departed_log = 0;
+        for seat in self.participants.values_mut() {
+            seat.cuts.clear_log();
         }
     }
 }

@@ -1,10 +1,12 @@
 //! Seats: admission, retention after a lost connection, and resumption.
 
+use std::sync::Arc;
+
 use palpate_protocol::handshake::{
     Hello, RefusalReason, Refused, Resume, RosterEntry, SEAT_RETENTION, Subscription, Welcome,
 };
 use palpate_protocol::name::Appearance;
-use palpate_protocol::operation::{CompensationSettings, LeaveReason, OperationKind};
+use palpate_protocol::operation::{CompensationSettings, LeaveReason, Operation, OperationKind};
 use palpate_protocol::permission::Permission;
 use palpate_protocol::session::{CloseReason, PeerMessage};
 use palpate_protocol::tool::ToolDescription;
@@ -298,10 +300,7 @@ impl Room {
     /// The first operation that a resuming client lacks; 0 if its log differs from the server's.
     fn continues_at(&self, resume: &Resume) -> OperationId {
         let next = resume.next_operation;
-        // Dropped operations changed no topology.
-        let state = (self.log.last_before(next)).map_or((0, self.hashes[0]), |last| {
-            (last.topology_version_after, last.hash_after)
-        });
+        let state = self.log.state_before(next).unwrap_or((0, self.uncut));
         let is_ours = next <= self.log.next()
             && next >= self.log.complete_from()
             && state == (resume.topology_version, resume.topology_hash);
@@ -315,8 +314,9 @@ impl Room {
         first_operation: OperationId,
         now: ServerTime,
     ) -> Welcome {
-        let last = self.log.last_before(self.log.next());
-        let so_far = last.map_or(0, |last| last.id.0 + 1);
+        let is_newcomer = first_operation == OperationId(0);
+        let snapshot = self.log.snapshot().filter(|_| is_newcomer);
+        let last = self.log_from(first_operation).last().map(|o| o.id.next());
         Welcome {
             participant: seat.id,
             epoch: self.config.epoch,
@@ -331,7 +331,8 @@ impl Room {
             topology_version: self.version(),
             topology_hash: self.hash(),
             first_operation,
-            operations_so_far: so_far.max(first_operation.0),
+            snapshot: snapshot.map(|(info, _)| info),
+            operations_so_far: last.unwrap_or(first_operation).0,
             compensation,
             tick_hz: self.config.tick_hz,
             session_started_at: self.started_at,
@@ -343,9 +344,23 @@ impl Room {
     fn send_welcome(&mut self, peer: PeerKey, welcome: Welcome) {
         let first = welcome.first_operation;
         self.send(peer, PeerMessage::Welcome(Box::new(welcome)));
-        let missing = self.log.since(first).to_vec();
-        for operation in missing {
+        if first == OperationId(0) {
+            let pieces = self.log.snapshot().map(|(_, pieces)| pieces.to_vec());
+            for piece in pieces.into_iter().flatten() {
+                self.send(peer, PeerMessage::Snapshot(piece));
+            }
+        }
+        for operation in self.log_from(first) {
             self.send(peer, PeerMessage::Operation(operation));
+        }
+    }
+
+    /// The operations that a client with the log up to this number lacks. A newcomer receives the snapshot before them.
+    fn log_from(&self, first: OperationId) -> Vec<Arc<Operation>> {
+        if first == OperationId(0) {
+            self.log.for_newcomer()
+        } else {
+            self.log.since(first).to_vec()
         }
     }
 

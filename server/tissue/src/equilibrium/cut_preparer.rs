@@ -74,6 +74,11 @@ impl CutPreparer {
         &self.topology
     }
 
+    /// The strokes of the newest topology.
+    pub fn history(&self) -> &CutHistory {
+        &self.history
+    }
+
     /// Makes the next cut: a whole stroke or a part of one. On an error nothing changes.
     pub fn prepare(&mut self, part: impl Into<StrokePart>) -> Result<PreparedCut, CutError> {
         let outcome = self.history.cut(&mut self.topology, part.into())?;

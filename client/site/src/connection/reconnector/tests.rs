@@ -1,4 +1,4 @@
-use palpate_protocol::handshake::Subscription;
+use palpate_protocol::handshake::{SnapshotInfo, Subscription};
 use palpate_protocol::operation::{CompensationMode, CompensationSettings, CutStroke};
 use palpate_protocol::request::CutRequest;
 use palpate_protocol::{
@@ -36,6 +36,7 @@ fn welcome(first: u64) -> Box<Welcome> {
         topology_version: 0,
         topology_hash: TopologyHash(0),
         first_operation: OperationId(first),
+        snapshot: None,
         operations_so_far: 6,
         compensation: CompensationSettings {
             mode: CompensationMode::Fixed,
@@ -417,4 +418,32 @@ fn welcome_with_another_token_is_a_new_seat_and_one_of_another_session_ends() {
     };
     machine.handle_welcome(Box::new(other), at(400));
     assert_eq!(state_of(&machine), "Ended");
+}
+
+#[test]
+fn log_before_a_snapshot_is_not_resumed() {
+    let mut first = welcome(0);
+    first.snapshot = Some(SnapshotInfo {
+        bytes: 1,
+        topology_version: 3,
+    });
+    let resumed_at = |id: u64, version: u32| {
+        let mut machine = connecting_as(Role::Trainee);
+        machine.handle_welcome(first.clone(), at(400));
+        let operation = Operation {
+            topology_version_after: version,
+            ..own_cut(id)
+        };
+        machine.handle_event(ClientEvent::Operation(operation), at(500));
+        actions(&mut machine);
+        machine.handle_lost("a test".to_owned(), at(1000));
+        machine.handle_timeout(at(1000 + FIRST_WAIT_IS_OVER));
+        let hello = actions(&mut machine).into_iter().find_map(|a| match a {
+            Action::Connect(hello, _) => Some(hello),
+            _ => None,
+        });
+        hello.unwrap().resume.unwrap().next_operation
+    };
+    assert_eq!(resumed_at(4, 2), OperationId(0), "a part of the log");
+    assert_eq!(resumed_at(7, 3), OperationId(8));
 }

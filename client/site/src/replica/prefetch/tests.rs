@@ -81,6 +81,7 @@ fn welcome(model: &Arc<Model>) -> Welcome {
         topology_version: 0,
         topology_hash: TopologyHash(topology.hash().0),
         first_operation: OperationId(0),
+        snapshot: None,
         operations_so_far: 0,
         compensation: CompensationSettings {
             mode: CompensationMode::Fixed,
