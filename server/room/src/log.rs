@@ -96,7 +96,7 @@ pub(crate) struct Log {
     about_participants: usize,
     controls: usize,
     snapshot: Option<Snapshot>,
-    /// What the snapshot does not cover.
+    /// Changes after the snapshot.
     uncovered: Changes,
     /// Number of uncovered changes when the latest snapshot was due.
     due_at: usize,
