@@ -12,7 +12,6 @@ use crate::attack;
 use crate::bench::ablate::Ablate;
 use crate::bench::bytes::Bytes;
 use crate::bench::coding::Coding;
-use crate::bench::cut_time::CutTime;
 use crate::bench::cuts::CutLoad;
 use crate::bench::haptic_tick::HapticTick;
 use crate::bench::press_cube::PressCube;
@@ -158,8 +157,6 @@ enum Bench {
     Bytes(Box<Measurement<Bytes>>),
     /// Load of a trainee's threads while other trainees cut beside the press
     Cuts(Measurement<CutLoad>),
-    /// Time of one blade sample against the size of the model
-    CutTime(Measurement<CutTime>),
     /// Time one tick of the force loop: read, compute, write
     HapticTick(Measurement<HapticTick>),
     /// Cost of a trainee's own page: force error, lateness and CPU time with and without it
@@ -200,7 +197,6 @@ impl Bench {
             Self::Coding(measurement) => measurement,
             Self::Bytes(measurement) => measurement.as_ref(),
             Self::Cuts(measurement) => measurement,
-            Self::CutTime(measurement) => measurement,
             Self::HapticTick(measurement) => measurement,
             Self::ViewCost(measurement) => measurement.as_ref(),
         }

@@ -1,0 +1,123 @@
+//! Pictures of cuts (Lin 2007, figs 7.14 to 7.16, 7.18 to 7.20 and 5.10).
+//!
+//! Each picture comes with a figure of the cut and its closed form. Wounds are shown at rest, where they are closed, or
+//! with the tissue pulled apart and solved.
+
+mod on_block;
+mod on_thigh;
+mod opened;
+mod refinement;
+
+use palpate_server::picture::{Panel, figure};
+use palpate_tissue::{CutOutcome, Topology};
+use serde_json::{Value, json};
+
+use super::table::Column;
+use super::{Bench, Outcome, Table};
+
+const COLUMNS: [Column; 9] = [
+    ("picture", "picture", 1.0),
+    ("figure", "figure", 1.0),
+    ("faces opened", "faces", 1.0),
+    ("nodes on the path", "snapped", 1.0),
+    ("nodes short of it", "short", 1.0),
+    ("pieces", "components", 1.0),
+    ("quantity", "quantity", 1.0),
+    ("measured", "measured", 1.0),
+    ("closed form", "expected", 1.0),
+];
+
+const QUALITY: [Column; 8] = [
+    ("model", "model", 1.0),
+    ("refinement", "refinement", 1.0),
+    ("cells", "cells", 1.0),
+    ("inverted cells", "inverted", 1.0),
+    ("worst scaled Jacobian", "worst", 1.0),
+    ("5 % below", "p5", 1.0),
+    ("mean", "mean", 1.0),
+    ("shortest spring / spacing", "shortest_spring", 1.0),
+];
+
+/// A picture, and a row of the table.
+struct Picture {
+    name: &'static str,
+    png: Vec<u8>,
+    row: Value,
+}
+
+/// A figure of a cut and its closed form.
+struct Check {
+    quantity: &'static str,
+    measured: f64,
+    expected: f64,
+}
+
+impl Picture {
+    /// `number` is that of the figure in the source.
+    fn of(
+        name: &'static str,
+        number: &str,
+        topology: &Topology,
+        outcomes: &[impl AsRef<CutOutcome>],
+        panels: &[Panel],
+        check: &Check,
+    ) -> Result<Self, String> {
+        let sum = |of: fn(&CutOutcome) -> usize| -> usize {
+            outcomes.iter().map(|o| of(o.as_ref())).sum()
+        };
+        Ok(Self {
+            name,
+            png: figure(topology.model(), panels)?,
+            row: json!({
+                "picture": name,
+                "figure": number,
+                "faces": sum(|o| o.faces_opened),
+                "snapped": sum(|o| o.nodes_snapped),
+                "short": sum(|o| o.nodes_short),
+                "components": topology.components(),
+                "quantity": check.quantity,
+                "measured": check.measured,
+                "expected": check.expected,
+            }),
+        })
+    }
+}
+
+pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
+    let mut pictures = Vec::new();
+    (bench.progress)("cutting blocks", 0.0);
+    pictures.push(on_block::snapping()?);
+    pictures.push(on_block::curve()?);
+    pictures.push(on_block::crossing()?);
+    pictures.push(on_block::piece()?);
+    let (refined, mut qualities) = refinement::block()?;
+    pictures.push(refined);
+    let thigh = bench.model_or("thigh")?;
+    (bench.progress)("cutting the thigh", 0.5);
+    pictures.extend(on_thigh::pictures(&thigh)?);
+    qualities.extend(refinement::thigh(&thigh)?);
+    let rows: Vec<Value> = pictures.iter().map(|p| p.row.clone()).collect();
+    let tables = vec![
+        ("cut-gallery".to_owned(), Table::of_objects(&rows, &COLUMNS)),
+        (
+            "cut-gallery-quality".to_owned(),
+            Table::of_objects(&qualities, &QUALITY),
+        ),
+    ];
+    Ok(Outcome {
+        caption: "Snapping of the nodes at a coarse surface (fig 7.14), an arbitrary curved cut (7.15), the cells around a \
+                  cut before and after the refinement (5.10, 7.16), the layers at a cut (7.18), cuts to three depths (7.19), \
+                  continued cuts that cross (7.20), and a piece cut off. Blue: the path of the blade and its nodes. Dark \
+                  red: the lips of a wound. Walls of wounds have the colour of their tissue. Before the refinement, the \
+                  nodes of the cut are where it puts them, and all others where they were built. The table of cells \
+                  counts those with a corner that the cut moved or doubled."
+            .to_owned(),
+        figures: json!({ "experiment": "cut-gallery", "pictures": rows, "quality": qualities }),
+        pictures: pictures
+            .into_iter()
+            .map(|p| (format!("cut-gallery-{}", p.name), p.png))
+            .collect(),
+        tables,
+        ..Outcome::default()
+    })
+}
