@@ -9,8 +9,8 @@ use super::colour::{self, Colour, INK, PALE_INK};
 use super::frame::{Frame, round_length};
 use super::panel::{Edge, Panel};
 
-/// Pixels of a panel; its drawing fills the width or the height.
-const PANEL: [f32; 2] = [640.0, 560.0];
+/// Pixels of all panels, which have equal widths; a drawing fills the width or the height of its panel.
+const PANELS: [f32; 2] = [1280.0, 560.0];
 const GAP: f32 = 32.0;
 const TITLE: f32 = 34.0;
 /// Below the panels: scale bars, then the legend.
@@ -23,10 +23,11 @@ const LIP: Colour = [120, 0, 30];
 
 /// Draws panels of one model as PNG.
 pub fn figure(model: &Model, panels: &[Panel]) -> Result<Vec<u8>, String> {
+    let room = [PANELS[0] / panels.len().max(1) as f32, PANELS[1]];
     let mut frames = Vec::new();
     let mut left = GAP;
     for panel in panels {
-        let frame = Frame::around(panel.bounds, PANEL, [left, TITLE]);
+        let frame = Frame::around(panel.bounds, room, [left, TITLE]);
         // A title may be wider than a slender drawing.
         let title = panel.title.chars().count() as f32 * Letters::Bold.width();
         left += frame.size[0].max(title) + GAP;
@@ -157,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn figure_of_panels_is_drawn_deterministically_and_grows_with_them() {
+    fn figure_of_panels_is_drawn_deterministically_within_its_size() {
         let topology = wounded();
         let shape = Shape::rest(&topology);
         let oblique = View::from(Vec3::new(0.4, -1.0, 0.8), Vec3::z());
@@ -166,9 +167,12 @@ mod tests {
             (0..count).map(one).collect()
         };
         let png = |count| figure(topology.model(), &panels(count)).unwrap();
-        // Width and height follow the signature and the name of the first chunk.
-        let width = |png: &[u8]| u32::from_be_bytes(png[16..20].try_into().unwrap());
         assert_eq!(png(2), png(2));
-        assert!(width(&png(2)) > width(&png(1)) + 400);
+        // Width and height follow the signature and the name of the first chunk.
+        let size =
+            |png: &[u8]| [16, 20].map(|at| u32::from_be_bytes(png[at..at + 4].try_into().unwrap()));
+        let [wide, tall] = size(&png(2));
+        assert!(wide > 1280 && wide < 1400 && tall < 700, "{wide} x {tall}");
+        assert!(size(&png(1))[0] < wide);
     }
 }

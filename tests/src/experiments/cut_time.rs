@@ -32,21 +32,23 @@ const DEPTH_M: f64 = 0.018;
 /// Radius and depth of the ball, m.
 const BALL_M: [f64; 2] = [8e-3, 4e-3];
 
-const COLUMNS: [Column; 14] = [
+const COLUMNS: [Column; 16] = [
     ("nodes", "nodes", 1.0),
+    ("first cut (ms)", "first_ms", 1.0),
     ("opening samples", "opening", 1.0),
     ("cut p50 (ms)", "cut.p50_ms", 1.0),
-    ("p99 (ms)", "cut.p99_ms", 1.0),
-    ("max (ms)", "cut.max_ms", 1.0),
+    ("cut p99", "cut.p99_ms", 1.0),
+    ("cut max", "cut.max_ms", 1.0),
     ("p50 / smaller", "cut_ratio", 1.0),
+    ("other samples p50 (ms)", "other.p50_ms", 1.0),
+    ("other p99", "other.p99_ms", 1.0),
+    ("other max", "other.max_ms", 1.0),
     ("follow p50 (ms)", "follow.p50_ms", 1.0),
-    ("p99 (ms)", "follow.p99_ms", 1.0),
-    ("max (ms)", "follow.max_ms", 1.0),
+    ("follow max", "follow.max_ms", 1.0),
     ("next step p50 (ms)", "step.p50_ms", 1.0),
-    ("p99 (ms)", "step.p99_ms", 1.0),
-    ("max (ms)", "step.max_ms", 1.0),
+    ("next step max", "step.max_ms", 1.0),
     ("other steps p50 (ms)", "quiet_step.p50_ms", 1.0),
-    ("p99 (ms)", "quiet_step.p99_ms", 1.0),
+    ("other steps p99", "quiet_step.p99_ms", 1.0),
 ];
 
 /// Processor times in ms.
@@ -88,24 +90,26 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         (bench.progress)(&format!("cutting a block of {edge} nodes per edge"), done);
         let (nodes, samples) = measure(edge - 1, SAMPLES)?;
         let is_opening = |s: &&Sample| s.follow_ms.is_some();
-        let opening = || samples.iter().filter(is_opening);
-        let all = |s: &Sample| s.cut_ms;
-        let cut = Times::of(&samples.iter().map(all).collect::<Vec<_>>());
+        // The first cut builds the index of cells and makes the first copies.
+        let (first, later) = samples.split_first().ok_or("no sample was made")?;
+        let opening = || later.iter().filter(is_opening);
+        let others = || later.iter().filter(|s| !is_opening(s));
+        let cut = Times::of(&opening().map(|s| s.cut_ms).collect::<Vec<_>>());
+        let other = Times::of(&others().map(|s| s.cut_ms).collect::<Vec<_>>());
         let follow = opening().filter_map(|s| s.follow_ms).collect::<Vec<_>>();
         let step = opening().map(|s| s.steps_ms[0]).collect::<Vec<_>>();
-        let later = samples.iter().flat_map(|s| &s.steps_ms[1..]).copied();
-        let quiet = samples
-            .iter()
-            .filter(|s| !is_opening(s))
-            .map(|s| s.steps_ms[0]);
+        let quiet = later.iter().flat_map(|s| &s.steps_ms[1..]).copied();
+        let quiet = quiet.chain(others().map(|s| s.steps_ms[0]));
         rows.push(json!({
             "nodes": nodes,
+            "first_ms": first.cut_ms,
             "opening": follow.len(),
             "cut": cut,
+            "other": other,
             "cut_ratio": smaller.map(|ms| cut.p50_ms / ms),
             "follow": Times::of(&follow),
             "step": Times::of(&step),
-            "quiet_step": Times::of(&later.chain(quiet).collect::<Vec<_>>()),
+            "quiet_step": Times::of(&quiet.collect::<Vec<_>>()),
         }));
         smaller = Some(cut.p50_ms);
         for s in &samples {
@@ -120,7 +124,9 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         let name = format!("{nodes} nodes");
         let points = samples.iter().map(|s| (s.path_mm, s.cut_ms));
         cuts.push(Line::new(name.clone(), colour, points));
-        let points = opening().filter_map(|s| Some((s.path_mm, s.follow_ms? + s.steps_ms[0])));
+        let points = samples
+            .iter()
+            .filter_map(|s| Some((s.path_mm, s.follow_ms? + s.steps_ms[0])));
         follows.push(Line::new(name, colour, points));
     }
     let panels = vec![
@@ -133,8 +139,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     ];
     Ok(Outcome {
         caption: "Processor time of each blade sample of 1 mm over the length of a cut of 18 mm depth at 4 mm spacing, under \
-                  a pressing ball (fig 7.13). The cut runs through the middle of blocks of three sizes. The ratio is that \
-                  of the median to the one of the next smaller block. Samples between two planes of cells open no face. \
+                  a pressing ball (fig 7.13). The cut runs through the middle of blocks of three sizes. Every fourth \
+                  sample reaches the next plane of cells and opens faces; the others open none. The first cut also builds \
+                  an index of the cells and is not in the quantiles. The ratio is that of the median of the opening \
+                  samples to the one of the next smaller block. \
                   One run on this machine: other load changes the rare long samples."
             .to_owned(),
         figures: json!({ "experiment": "cut-time", "sizes": rows }),

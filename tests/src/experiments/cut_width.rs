@@ -27,15 +27,20 @@ const CUTS: [(f64, f64, &str); 4] = [
     (1.0, 24.0, PURPLE),
 ];
 const LENGTH_M: f64 = 0.04;
+/// A pair whose opening is within this share of the width is on the law.
+const ON_LAW: f64 = 0.01;
+/// Angle between the turned cut and the lattice of the block, rad.
+const TURNED: f64 = 0.45;
 /// Distance of the retractors from the cut and their travel, m.
 const RETRACTORS_M: [f64; 2] = [0.012, 1e-3];
 
-const COLUMNS: [Column; 10] = [
+const COLUMNS: [Column; 11] = [
     ("model", "model", 1.0),
     ("width (mm)", "width_mm", 1.0),
     ("depth (mm)", "depth_mm", 1.0),
     ("limit (mm)", "limit_mm", 1.0),
     ("pairs of nodes", "pairs", 1.0),
+    ("on the law (%)", "on_law_percent", 1.0),
     ("largest opening (mm)", "rest_max_mm", 1.0),
     ("largest deviation (mm)", "deviation_max_mm", 1.0),
     ("of the width (%)", "deviation_percent", 1.0),
@@ -49,17 +54,23 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let mut rows = Vec::new();
     let mut points = Table::new("model,width_mm,depth_mm,below_mm,rest_mm,law_mm,retracted_mm");
     let mut panels = Vec::new();
-    for (part, (name, model)) in [("block", block), ("thigh", thigh)].into_iter().enumerate() {
-        (bench.progress)(&format!("cutting the {name}"), 0.5 * part as f64);
-        panels.extend(measure(name, &model, &mut rows, &mut points)?);
+    let cases = [
+        ("block", &block, 0.0),
+        ("block, turned", &block, TURNED),
+        ("thigh", &thigh, 0.0),
+    ];
+    for (part, (name, model, turn)) in cases.into_iter().enumerate() {
+        (bench.progress)(&format!("cutting the {name}"), part as f64 / 3.0);
+        panels.extend(measure(name, model, turn, &mut rows, &mut points)?);
     }
     let title = "Opening of a cut over the depth below the surface";
     Ok(Outcome {
         caption: format!(
             "Distance of doubled nodes along the normal of a straight cut of 40 mm, by the width w0 at the surface and \
-             the depth D (fig 7.17); mean of the pairs within half a spacing of depth. At rest it follows \
+             the depth D (fig 7.17), for each pair. At rest it follows \
              w0 (1 - d/D), dashed, up to a tenth of a spacing, which bounds the rest volume that the offset takes from \
-             the cells. The largest deviation is that of a single pair. The last pair of nodes is up to a cell above \
+             the cells. A pair opens less where the cells beside it are at the limits of their distortion. The block is cut \
+             along its lattice, and turned by 26 degrees. The last pair of nodes is up to a cell above \
              the tip, because nodes at the front stay single. Retracted: two rows of surface nodes, {:.0} mm from the \
              cut, are held {:.0} mm farther out, and the tissue is solved.",
             RETRACTORS_M[0] * 1e3,
@@ -86,11 +97,15 @@ fn law_m(width_m: f64, depth_m: f64, limit_m: f64, below_m: f64) -> f64 {
 fn measure(
     name: &str,
     model: &Arc<Model>,
+    turn: f64,
     rows: &mut Vec<Value>,
     points: &mut Table,
 ) -> Result<[Panel; 2], String> {
     let uncut = Topology::new(Arc::clone(model));
-    let location = ToolLocation::find(&uncut)?;
+    let mut location = ToolLocation::find(&uncut)?;
+    let [u, v] = [location.u, location.v];
+    location.u = u * turn.cos() + v * turn.sin();
+    location.v = v * turn.cos() - u * turn.sin();
     let limit_m = REST_WIDTH_MAX * model.spacing_m;
     let (mut at_rest, mut retracted) = (Vec::new(), Vec::new());
     for (width_mm, depth_mm, colour) in CUTS {
@@ -110,22 +125,29 @@ fn measure(
         let residual = tissue.step(&[], Budget::new(300, 1e-5)).residual;
         let pulled = site.openings(&topology, tissue.shape(), &outcome.doubled);
         let law = |below: f64| law_m(stroke.width_m, site.depth_m, limit_m, below);
-        let deviations = rest.iter().map(|(below, wide)| (wide - law(*below)).abs());
-        let deviation = deviations.fold(0.0, f64::max);
-        let means = |openings| binned(openings, model.spacing_m / 2.0);
-        let pulled_means = means(&pulled);
-        let (first, last) = (pulled_means.first(), pulled_means.last());
+        let off = |(below, wide): &(f64, f64)| (wide - law(*below)).abs();
+        let deviation = rest.iter().map(off).fold(0.0, f64::max);
+        let on_law = rest
+            .iter()
+            .filter(|p| off(p) <= ON_LAW * stroke.width_m)
+            .count();
+        let pairs = |of: &[(f64, f64)]| -> Vec<(f64, f64)> {
+            of.iter().map(|p| (p.0 * 1e3, p.1 * 1e3)).collect()
+        };
+        let ends =
+            [rest.first(), rest.last()].map(|end| mean_at(&pulled, end, model.spacing_m / 4.0));
         rows.push(json!({
             "model": name,
             "width_mm": width_mm,
             "depth_mm": depth_mm,
             "limit_mm": limit_m * 1e3,
             "pairs": rest.len(),
+            "on_law_percent": 100.0 * on_law as f64 / rest.len().max(1) as f64,
             "rest_max_mm": rest.iter().map(|p| p.1).fold(0.0, f64::max) * 1e3,
             "deviation_max_mm": deviation * 1e3,
             "deviation_percent": 100.0 * deviation / stroke.width_m,
-            "retracted_surface_mm": first.map(|p| p.1),
-            "retracted_deepest_mm": last.map(|p| p.1),
+            "retracted_surface_mm": ends[0] * 1e3,
+            "retracted_deepest_mm": ends[1] * 1e3,
             "held_nodes": held,
             "residual": residual,
         }));
@@ -135,12 +157,12 @@ fn measure(
             points.rows.push(case.into_iter().chain(figures).collect());
         }
         let case = format!("{width_mm} mm wide, {depth_mm} mm deep");
-        at_rest.push(Line::new(case.clone(), colour, means(&rest)));
+        at_rest.push(Line::new(case.clone(), colour, pairs(&rest)).dots());
         let law_points = (0..=48).map(|i| f64::from(i) / 48.0 * site.depth_m);
         let law_name = if at_rest.len() == 1 { "law" } else { "" };
         let law_line = law_points.map(|below| (below * 1e3, law(below) * 1e3));
         at_rest.push(Line::new(law_name, GREY, law_line).dashed(true));
-        retracted.push(Line::new(case, colour, pulled_means));
+        retracted.push(Line::new(case, colour, pairs(&pulled)).dots());
     }
     let spacing = model.spacing_m * 1e3;
     Ok([
@@ -153,18 +175,12 @@ fn measure(
     ])
 }
 
-/// Mean depth and opening, in mm, of the pairs within each range of depth.
-fn binned(openings: &[(f64, f64)], range_m: f64) -> Vec<(f64, f64)> {
-    let bin = |p: &(f64, f64)| (p.0 / range_m).round() as i64;
-    let mean = |bin: &[(f64, f64)]| {
-        let count = bin.len() as f64;
-        let sum = bin.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0, s.1 + p.1));
-        (sum.0 / count * 1e3, sum.1 / count * 1e3)
-    };
-    openings
-        .chunk_by(|a, b| bin(a) == bin(b))
-        .map(mean)
-        .collect()
+/// Mean opening of the pairs as deep as one of them, within `range_m`; NaN without one.
+fn mean_at(openings: &[(f64, f64)], pair: Option<&(f64, f64)>, range_m: f64) -> f64 {
+    let depth = pair.map_or(f64::NAN, |p| p.0);
+    let near = openings.iter().filter(|p| (p.0 - depth).abs() <= range_m);
+    let [sum, count] = near.fold([0.0; 2], |[s, n], p| [s + p.1, n + 1.0]);
+    sum / count
 }
 
 #[cfg(test)]
@@ -176,7 +192,7 @@ mod tests {
         let model = Arc::new(soft_block(BLOCK, SPACING_M));
         let mut rows = Vec::new();
         let mut points = Table::new("a,b,c,d,e,f,g");
-        measure("block", &model, &mut rows, &mut points).unwrap();
+        measure("block", &model, 0.0, &mut rows, &mut points).unwrap();
         assert_eq!(rows.len(), CUTS.len());
         for row in &rows {
             let figure = |name: &str| row[name].as_f64().unwrap();

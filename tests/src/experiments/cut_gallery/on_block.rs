@@ -1,9 +1,9 @@
 //! Cuts of blocks: snapping, a curve, crossing cuts, a piece cut off.
 
 use palpate_server::picture::{Panel, View};
-use palpate_tissue::{BladePoint, CutOutcome, CutStroke, Shape, Topology, Vec3, cut};
+use palpate_tissue::{BladePoint, CutStroke, RegionId, Shape, Topology, Vec3};
 
-use super::opened::{connected, nodes_of, opened, pulled, wall_area_m2};
+use super::opened::{Cut, connected, nodes_of, opened, pulled};
 use super::{Check, Picture};
 use crate::test_model::soft_block;
 
@@ -32,10 +32,21 @@ fn length_m(path: &[Vec3]) -> f64 {
     path.windows(2).map(|w| (w[1] - w[0]).norm()).sum()
 }
 
-fn open(topology: &mut Topology, stroke: &CutStroke) -> Result<Box<CutOutcome>, String> {
-    cut(topology, stroke)
-        .map(Box::new)
-        .map_err(|e| e.to_string())
+/// A block of muscle with a pinned base under two layers of cells of fat.
+fn layered(cells: [usize; 3], spacing_m: f64) -> Topology {
+    let mut model = soft_block(cells, spacing_m);
+    let body = model.regions.len() - 1;
+    model.regions[body].name = "muscle".into();
+    model.regions[body].material.name = "muscle".into();
+    let mut fat = model.regions[body].clone();
+    fat.name = "fat".into();
+    fat.material.name = "fat".into();
+    model.regions.push(fat);
+    let per_layer = cells[0] * cells[1];
+    for cell in &mut model.cells[per_layer * (cells[2] - 2)..] {
+        cell.region = RegionId(body as u16 + 1);
+    }
+    Topology::new(model.into())
 }
 
 fn distance_m(p: &Vec3, path: &[Vec3]) -> f64 {
@@ -51,7 +62,7 @@ fn distance_m(p: &Vec3, path: &[Vec3]) -> f64 {
 pub(super) fn snapping() -> Result<Picture, String> {
     let (cells, spacing) = ([12, 10, 5], 5e-3);
     let top = cells[2] as f64 * spacing;
-    let mut topology = Topology::new(soft_block(cells, spacing).into());
+    let mut topology = layered(cells, spacing);
     let path = path(30, |s| {
         Vec3::new(
             0.0083 + 0.044 * s,
@@ -69,8 +80,8 @@ pub(super) fn snapping() -> Result<Picture, String> {
         view,
         all,
     );
-    let outcome = open(&mut topology, &stroke(&path, Vec3::z(), 0.012, spacing))?;
-    let nodes = nodes_of(&topology, opened(&topology, &outcome));
+    let made = Cut::make(&mut topology, &stroke(&path, Vec3::z(), 0.012, spacing))?;
+    let nodes = nodes_of(&topology, opened(&topology, &made.outcome));
     let at_top = nodes.into_iter().map(|n| topology.rest(n));
     let at_top: Vec<Vec3> = at_top.filter(|p| p.z > top - 1e-6).collect();
     let off = at_top.iter().map(|p| distance_m(p, &path));
@@ -85,7 +96,14 @@ pub(super) fn snapping() -> Result<Picture, String> {
         before.with_line(&path),
         after.with_line(&path).with_dots(&at_top),
     ];
-    Picture::of("snapping", "7.14", &topology, &[outcome], &panels, &check)
+    Picture::of(
+        "snapping",
+        "7.14",
+        &topology,
+        &[made],
+        &panels,
+        Some(&check),
+    )
 }
 
 /// An arbitrary curve, seen from above and pulled apart.
@@ -93,7 +111,7 @@ pub(super) fn curve() -> Result<Picture, String> {
     let (cells, spacing) = ([30, 20, 8], 3e-3);
     let top = cells[2] as f64 * spacing;
     let depth = 0.0151;
-    let mut topology = Topology::new(soft_block(cells, spacing).into());
+    let mut topology = layered(cells, spacing);
     let path = path(60, |s| {
         let x = 0.0113 + 0.068 * s;
         Vec3::new(
@@ -102,10 +120,10 @@ pub(super) fn curve() -> Result<Picture, String> {
             top,
         )
     });
-    let outcome = open(&mut topology, &stroke(&path, Vec3::z(), depth, spacing))?;
+    let made = Cut::make(&mut topology, &stroke(&path, Vec3::z(), depth, spacing))?;
     let check = Check {
         quantity: "area of a wall (mm²)",
-        measured: wall_area_m2(&topology, opened(&topology, &outcome)) * 1e6,
+        measured: made.area_m2 * 1e6,
         expected: length_m(&path) * depth * 1e6,
     };
     let all = |_: &_, _: &_| true;
@@ -115,7 +133,7 @@ pub(super) fn curve() -> Result<Picture, String> {
     let view = View::from(Vec3::new(0.25, -0.9, 1.5), Vec3::z());
     let apart = Panel::surface("sides pulled out by 12 %", &topology, &shape, view, all);
     let panels = [above.with_line(&path), apart];
-    Picture::of("curve", "7.15", &topology, &[outcome], &panels, &check)
+    Picture::of("curve", "7.15", &topology, &[made], &panels, Some(&check))
 }
 
 /// A cut in two strokes, the second of which continues the first, and a cut across them.
@@ -123,7 +141,7 @@ pub(super) fn crossing() -> Result<Picture, String> {
     let (cells, spacing) = ([24, 20, 8], 3e-3);
     let top = cells[2] as f64 * spacing;
     let depth = 0.0121;
-    let mut topology = Topology::new(soft_block(cells, spacing).into());
+    let mut topology = layered(cells, spacing);
     let along = |from: f64, until: f64| {
         path(30, move |s| {
             let x = from + (until - from) * s;
@@ -137,11 +155,11 @@ pub(super) fn crossing() -> Result<Picture, String> {
             Vec3::new(0.0271 + 0.014 * s, 0.0118 + 0.037 * s, top)
         }),
     ];
-    let (mut outcomes, mut area) = (Vec::new(), 0.0);
+    let (mut cuts, mut area) = (Vec::new(), 0.0);
     for path in &paths {
-        let outcome = open(&mut topology, &stroke(path, Vec3::z(), depth, spacing))?;
-        area += wall_area_m2(&topology, opened(&topology, &outcome));
-        outcomes.push(outcome);
+        let made = Cut::make(&mut topology, &stroke(path, Vec3::z(), depth, spacing))?;
+        area += made.area_m2;
+        cuts.push(made);
     }
     let check = Check {
         quantity: "area of a wall (mm²)",
@@ -161,9 +179,9 @@ pub(super) fn crossing() -> Result<Picture, String> {
         "crossing",
         "7.20",
         &topology,
-        &outcomes,
+        &cuts,
         &[above, apart],
-        &check,
+        Some(&check),
     )
 }
 
@@ -172,15 +190,15 @@ pub(super) fn piece() -> Result<Picture, String> {
     let (cells, spacing) = ([20, 14, 10], 3e-3);
     let [width, long, top] = cells.map(|n| n as f64 * spacing);
     let (depth, slope) = (0.0165, 0.8_f64);
-    let mut topology = Topology::new(soft_block(cells, spacing).into());
-    let mut outcomes = Vec::new();
+    let mut topology = layered(cells, spacing);
+    let mut cuts = Vec::new();
     for side in [-1.0, 1.0] {
         let axis = Vec3::new(side * slope, 0.0, 1.0);
         let entry = |y: f64| Vec3::new(width / 2.0 + side * slope * depth, y, top);
         // The second blade passes through the first cut.
         let deep = (depth + spacing) * (1.0 + slope * slope).sqrt();
         let ends = [entry(-spacing), entry(long + spacing)];
-        outcomes.push(open(
+        cuts.push(Cut::make(
             &mut topology,
             &stroke(&ends, axis, deep, 2.0 * spacing),
         )?);
@@ -224,8 +242,8 @@ pub(super) fn piece() -> Result<Picture, String> {
         "piece",
         "7.20",
         &topology,
-        &outcomes,
+        &cuts,
         &[front, lifted],
-        &check,
+        Some(&check),
     )
 }

@@ -3,7 +3,39 @@
 use std::collections::BTreeSet;
 
 use palpate_tissue::cell::{FACES, NO_CELL};
-use palpate_tissue::{Budget, CutOutcome, FaceId, Shape, Tissue, Topology, Vec3};
+use palpate_tissue::{
+    Budget, CutOutcome, CutStroke, FaceId, Shape, SweptSurface, Tissue, Topology, Vec3, cut,
+};
+
+/// A cut that was made.
+pub(super) struct Cut {
+    pub(super) outcome: CutOutcome,
+    /// Distance of each node of its walls from the swept surface, in spacings.
+    pub(super) off_path: Vec<f64>,
+    /// Area of one of its walls in m².
+    pub(super) area_m2: f64,
+}
+
+impl Cut {
+    /// Cuts a topology.
+    pub(super) fn make(topology: &mut Topology, stroke: &CutStroke) -> Result<Self, String> {
+        let outcome = cut(topology, stroke).map_err(|e| e.to_string())?;
+        let spacing = topology.model().spacing_m;
+        let surface = SweptSurface::of(stroke, spacing)?;
+        let faces = opened(topology, &outcome);
+        let nodes = nodes_of(topology, faces);
+        let off = nodes
+            .iter()
+            .filter_map(|&n| surface.distance_m(&topology.rest(n)));
+        let off_path = off.map(|d| d / spacing).collect();
+        let area_m2 = wall_area_m2(topology, faces);
+        Ok(Self {
+            off_path,
+            area_m2,
+            outcome,
+        })
+    }
+}
 
 /// Faces that a cut opened, on both sides, when it was the last one.
 pub(super) fn opened<'a>(topology: &'a Topology, outcome: &CutOutcome) -> &'a [FaceId] {
@@ -18,7 +50,7 @@ pub(super) fn nodes_of(topology: &Topology, faces: &[FaceId]) -> BTreeSet<u32> {
 }
 
 /// Area of one side of a wound in m², from the faces of both.
-pub(super) fn wall_area_m2(topology: &Topology, faces: &[FaceId]) -> f64 {
+fn wall_area_m2(topology: &Topology, faces: &[FaceId]) -> f64 {
     let area = |f: &FaceId| {
         let [a, b, c, d] = FACES[f.face()].map(|i| topology.rest(topology.corners(f.cell())[i]));
         (c - a).cross(&(d - b)).norm() / 2.0
