@@ -545,6 +545,15 @@ mod tests {
     }
 
     #[test]
+    fn dots_are_not_connected() {
+        let points = vec![(0.0, 1.0), (1.0, 2.0), (2.0, 1.5)];
+        let svg = chart(vec![Line::new("dots", BLUE, points).dots()], Scale::Linear).to_svg();
+        // Three points and the legend.
+        assert_eq!(svg.matches("<circle").count(), 4);
+        assert!(!svg.contains("<path"));
+    }
+
+    #[test]
     fn legend_omits_lines_without_points() {
         let lines = vec![line("drawn", vec![(0.0, 1.0)]), line("absent", vec![])];
         let svg = chart(lines, Scale::Linear).to_svg();

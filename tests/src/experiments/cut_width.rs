@@ -162,17 +162,33 @@ fn measure(
         let law_name = if at_rest.len() == 1 { "law" } else { "" };
         let law_line = law_points.map(|below| (below * 1e3, law(below) * 1e3));
         at_rest.push(Line::new(law_name, GREY, law_line).dashed(true));
-        retracted.push(Line::new(case, colour, pairs(&pulled)).dots());
+        retracted.push(Line::new(
+            case,
+            colour,
+            means(&pulled, model.spacing_m / 2.0),
+        ));
     }
     let spacing = model.spacing_m * 1e3;
     Ok([
         Panel::new(
-            format!("At rest, {name} of {spacing} mm spacing"),
+            format!("At rest, {name}, spacing {spacing} mm"),
             "opening (mm)",
             at_rest,
         ),
         Panel::new(format!("Retracted, {name}"), "opening (mm)", retracted),
     ])
+}
+
+/// Mean depth and opening, in mm, of the pairs within each range of depth.
+fn means(openings: &[(f64, f64)], range_m: f64) -> Vec<(f64, f64)> {
+    let bin = |p: &(f64, f64)| (p.0 / range_m).round() as i64;
+    let mean = |bin: &[(f64, f64)]| {
+        let scale = 1e3 / bin.len() as f64;
+        let sum = bin.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0, s.1 + p.1));
+        (sum.0 * scale, sum.1 * scale)
+    };
+    let bins = openings.chunk_by(|a, b| bin(a) == bin(b));
+    bins.map(mean).collect()
 }
 
 /// Mean opening of the pairs as deep as one of them, within `range_m`; NaN without one.

@@ -23,6 +23,9 @@ use crate::{Topology, Vec3};
 /// wound; at this bound no more than a twentieth of each.
 pub const REST_WIDTH_MAX: f64 = 0.1;
 
+/// Sweeps over the nodes. Each sweep moves a node at most to its place.
+const SWEEPS: usize = 8;
+
 /// Parts the doubled nodes; gives those that moved.
 pub(crate) fn widen(
     topology: &mut Topology,
@@ -39,6 +42,7 @@ pub(crate) fn widen(
         topology,
         old: HashMap::new(),
     };
+    let mut targets = Vec::with_capacity(nodes.len());
     for node in nodes {
         let at = moves.rest(node);
         let Some(foot) = ribbon.nearest(&at) else {
@@ -53,7 +57,13 @@ pub(crate) fn widen(
             Freedom::Held(free) => free * offset,
             Freedom::Pinned => continue,
         };
-        moves.advance(node, at + offset);
+        targets.push((node, at + offset));
+    }
+    // A node in a thin cell at a step of the lattice advances only with the other nodes of that cell.
+    for _ in 0..SWEEPS {
+        for &(node, target) in &targets {
+            moves.advance(node, target);
+        }
     }
     let mut moved: Vec<u32> = moves.old.into_keys().collect();
     moved.sort_unstable();

@@ -126,3 +126,32 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         ..Outcome::default()
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cuts_of_blocks_agree_with_their_closed_forms() {
+        for (picture, pieces, tolerance) in [
+            (on_block::curve(), 1, 0.04),
+            (on_block::crossing(), 1, 0.06),
+            (on_block::piece(), 2, 0.02),
+        ] {
+            let Picture { name, png, row } = picture.unwrap();
+            assert!(png.starts_with(b"\x89PNG"));
+            assert_eq!(row["components"], pieces, "{name}");
+            let figure = |key: &str| row[key].as_f64().unwrap();
+            let share = figure("measured") / figure("expected");
+            assert!((share - 1.0).abs() < tolerance, "{name}: {share}");
+        }
+    }
+
+    #[test]
+    fn coarse_surface_is_snapped_onto_the_path() {
+        let row = on_block::snapping().unwrap().row;
+        // Half of the nodes at 5 mm spacing would be more than a millimetre away.
+        assert!(row["measured"].as_f64().unwrap() <= 0.05 * 5.0, "{row}");
+        assert_eq!(row["on_path_percent"], 100.0);
+    }
+}
