@@ -45,11 +45,11 @@ pub const ALL: &[Experiment] = experiments! {
         "a leg with rigid bones pressed over muscle and over bone (fig 7.11)";
     "cut-methods", 6.0, [], Work::Experiment(cut_methods::run),
         "one stroke by element removal, subdivision, subdivision with snapping, and a sheet (fig 2.3)";
-    "cut-time", 60.0, [], Work::Experiment(cut_time::run),
+    "cut-time", 6.0, [], Work::Experiment(cut_time::run),
         "time of a blade sample over the length of a cut, in models of three sizes (fig 7.13)";
-    "cut-width", 20.0, [Model], Work::Experiment(cut_width::run),
+    "cut-width", 15.0, [Model], Work::Experiment(cut_width::run),
         "opening of a cut over the depth below the surface, at rest and retracted (fig 7.17)";
-    "cut-gallery", 20.0, [Model], Work::Experiment(cut_gallery::run),
+    "cut-gallery", 6.0, [Model], Work::Experiment(cut_gallery::run),
         "pictures of cuts: snapping, curves, refinement, layers, depths, crossings, a piece (figs 5.10, 7.14 to 7.20)";
     "press", 135.0, [Model], Work::Experiment(press::run),
         "force error of the haptic path: a ball and a line pressed at 100 mm/s, the line then dragged";

@@ -30,9 +30,9 @@ impl Cut {
         let off_path = off.map(|d| d / spacing).collect();
         let area_m2 = wall_area_m2(topology, faces);
         Ok(Self {
+            outcome,
             off_path,
             area_m2,
-            outcome,
         })
     }
 }
