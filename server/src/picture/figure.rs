@@ -171,8 +171,13 @@ mod tests {
         // Width and height follow the signature and the name of the first chunk.
         let size =
             |png: &[u8]| [16, 20].map(|at| u32::from_be_bytes(png[at..at + 4].try_into().unwrap()));
-        let [wide, tall] = size(&png(2));
-        assert!(wide > 1280 && wide < 1400 && tall < 700, "{wide} x {tall}");
-        assert!(size(&png(1))[0] < wide);
+        for count in 1..=3 {
+            let size = size(&png(count)).map(|v| v as f32);
+            let around = [GAP * (count as f32 + 1.0), TITLE + BAR + LEGEND];
+            let drawn: Vec<f32> = (0..2).map(|a| (size[a] - around[a]) / PANELS[a]).collect();
+            // Each drawing fits, and fills the width or the height of its panel.
+            let most = drawn[0].max(drawn[1]);
+            assert!((0.99..=1.01).contains(&most), "{count}: {drawn:?}");
+        }
     }
 }
