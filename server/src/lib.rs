@@ -15,7 +15,7 @@ mod inspect;
 mod load;
 mod memory;
 mod output;
-mod picture;
+pub mod picture;
 mod sample;
 
 pub use error::ServerError;

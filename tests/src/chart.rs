@@ -45,6 +45,7 @@ pub struct Line {
     pub points: Vec<(f64, f64)>,
     colour: &'static str,
     dashed: bool,
+    dotted: bool,
 }
 
 #[derive(Debug, Clone)]
@@ -292,8 +293,12 @@ impl Panel {
         html! {
             @for (row, at, line) in self.entries() {
                 @let y = first + LEGEND_ROW * row as f64;
-                line x1=(at) y1=(y - 4.0) x2=(at + 22.0) y2=(y - 4.0)
-                    stroke=(line.colour) stroke-width="2" stroke-dasharray=[line.dashes()] {}
+                @if line.dotted {
+                    circle cx=(px(at + 11.0)) cy=(px(y - 4.0)) r="2.6" fill="none" stroke=(line.colour) stroke-width="1.2" {}
+                } @else {
+                    line x1=(at) y1=(y - 4.0) x2=(at + 22.0) y2=(y - 4.0)
+                        stroke=(line.colour) stroke-width="2" stroke-dasharray=[line.dashes()] {}
+                }
                 (text(at + 28.0, y, "start", 12, &line.name))
             }
         }
@@ -312,7 +317,15 @@ impl Line {
             points: points.into_iter().collect(),
             colour,
             dashed: false,
+            dotted: false,
         }
+    }
+
+    /// Dots instead of a line, for measurements that no line connects.
+    #[must_use]
+    pub fn dots(mut self) -> Self {
+        self.dotted = true;
+        self
     }
 
     #[must_use]
@@ -335,13 +348,20 @@ impl Line {
     }
 
     fn draw(&self, plot: f64, x: Axis, y: Axis) -> Markup {
-        let points: Vec<String> = (thinned(&self.points, x).into_iter())
+        let places: Vec<(f64, f64)> = (thinned(&self.points, x).into_iter())
             .map(|(px, py)| (x.share(px), y.share(py)))
             .filter(|(_, up)| up.is_finite())
-            .map(|(along, up)| {
-                let (px, py) = (LEFT + along * PLOT_WIDTH, plot + (1.0 - up) * PLOT_HEIGHT);
-                format!("{px:.1} {py:.1}")
-            })
+            .map(|(along, up)| (LEFT + along * PLOT_WIDTH, plot + (1.0 - up) * PLOT_HEIGHT))
+            .collect();
+        if self.dotted {
+            return html! {
+                @for (at, up) in places {
+                    circle cx=(px(at)) cy=(px(up)) r="2.6" fill="none" stroke=(self.colour) stroke-width="1.2" {}
+                }
+            };
+        }
+        let points: Vec<String> = (places.iter())
+            .map(|(px, py)| format!("{px:.1} {py:.1}"))
             .collect();
         html! {
             @if !points.is_empty() {
@@ -522,6 +542,15 @@ mod tests {
         let rows: Vec<usize> = panel.entries().iter().map(|e| e.0).collect();
         assert_eq!(rows, [0, 0, 0, 1, 1, 1]);
         assert!((panel.head() - HEAD - LEGEND_ROW).abs() < 1e-9);
+    }
+
+    #[test]
+    fn dots_are_not_connected() {
+        let points = vec![(0.0, 1.0), (1.0, 2.0), (2.0, 1.5)];
+        let svg = chart(vec![Line::new("dots", BLUE, points).dots()], Scale::Linear).to_svg();
+        // Three points and the legend.
+        assert_eq!(svg.matches("<circle").count(), 4);
+        assert!(!svg.contains("<path"));
     }
 
     #[test]

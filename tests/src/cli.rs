@@ -12,7 +12,6 @@ use crate::attack;
 use crate::bench::ablate::Ablate;
 use crate::bench::bytes::Bytes;
 use crate::bench::coding::Coding;
-use crate::bench::cut_time::CutTime;
 use crate::bench::cuts::CutLoad;
 use crate::bench::haptic_tick::HapticTick;
 use crate::bench::late_join::LateJoin;
@@ -159,8 +158,6 @@ enum Bench {
     Bytes(Box<Measurement<Bytes>>),
     /// Load of a trainee's threads while other trainees cut beside the press
     Cuts(Measurement<CutLoad>),
-    /// Time of one blade sample against the size of the model
-    CutTime(Measurement<CutTime>),
     /// Time of a join to a session with many cuts: from the snapshot, and from the whole log
     LateJoin(Measurement<LateJoin>),
     /// Time one tick of the force loop: read, compute, write
@@ -203,7 +200,6 @@ impl Bench {
             Self::Coding(measurement) => measurement,
             Self::Bytes(measurement) => measurement.as_ref(),
             Self::Cuts(measurement) => measurement,
-            Self::CutTime(measurement) => measurement,
             Self::LateJoin(measurement) => measurement,
             Self::HapticTick(measurement) => measurement,
             Self::ViewCost(measurement) => measurement.as_ref(),

@@ -118,6 +118,31 @@ fn run_writes_figures_table_and_chart_and_prints_json() {
 }
 
 #[test]
+fn pictures_of_cuts_are_files_with_a_table() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out").display().to_string();
+    let line = ["run", "cut-gallery", "--json", "--out", &out];
+    let figures: Value = serde_json::from_str(&done(&line)).unwrap();
+    let pictures = figures["pictures"].as_array().unwrap();
+    assert_eq!(pictures.len(), 7);
+    for row in pictures {
+        let name = row["picture"].as_str().unwrap();
+        let file = Path::new(&out).join(format!("cut-gallery-{name}.png"));
+        assert!(
+            std::fs::read(file).unwrap().starts_with(b"\x89PNG"),
+            "{row}"
+        );
+        assert!(row["faces"].as_u64().unwrap() > 20, "{row}");
+    }
+    let quality = figures["quality"].as_array().unwrap();
+    let after = quality.iter().filter(|q| q["refinement"] == "after");
+    assert!(after.clone().count() == 2 && after.clone().all(|q| q["inverted"] == 0));
+    for name in ["cut-gallery.csv", "cut-gallery-quality.csv"] {
+        assert!(Path::new(&out).join(name).is_file(), "{name}");
+    }
+}
+
+#[test]
 fn all_writes_one_page_and_continues_after_a_failure() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("report").display().to_string();

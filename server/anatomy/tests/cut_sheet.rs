@@ -5,8 +5,8 @@
 #[path = "../../tissue/tests/strokes/mod.rs"]
 mod strokes;
 
-use std::fmt::Write as _;
-use std::path::Path;
+mod real_thigh;
+
 use std::sync::Arc;
 
 use palpate_anatomy::sample::Sample;
@@ -44,28 +44,8 @@ fn random_strokes_on_the_samples_keep_the_laws() {
 
 #[test]
 fn random_strokes_on_a_real_thigh_keep_the_laws() {
-    let Some(data) = std::env::var_os("PALPATE_DATA") else {
-        eprintln!("PALPATE_DATA is not set: skipped");
+    let Some(folder) = real_thigh::folder() else {
         return;
     };
-    let folder = std::fs::canonicalize(Path::new(&data).join("leg_bp3d")).unwrap();
-    let mut scene =
-        "format = \"palpate-scene/1\"\nspacing_mm = 4.0\npinned = [\"femur\"]\n".to_owned();
-    for (name, part, material) in [
-        ("subcutaneous", "skin", "fat"),
-        ("muscle", "muscle", "muscle"),
-        ("femur", "femur", "bone"),
-    ] {
-        let surface = folder.join(format!("thigh_{part}.stl"));
-        let surface = surface.display();
-        writeln!(
-            scene,
-            "[[region]]\nname = \"{name}\"\nsurface = \"{surface}\"\nmaterial = \"{material}\""
-        )
-        .unwrap();
-    }
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("thigh.toml");
-    std::fs::write(&path, scene).unwrap();
-    check_model("real thigh", &SceneInput::load(&path).unwrap(), 200);
+    check_model("real thigh", &real_thigh::scene(&folder), 200);
 }

@@ -1,14 +1,16 @@
-//! Cuts in a model with layers and a curved skin: the built-in thigh.
+//! Cuts in a model with layers and a curved skin: the built-in thigh, and a real one when `PALPATE_DATA` names its folder.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 #[path = "../../tissue/tests/cut_laws/mod.rs"]
 mod cut_laws;
 
+mod real_thigh;
+
 use std::sync::Arc;
 
-use palpate_anatomy::build;
 use palpate_anatomy::sample::Sample;
+use palpate_anatomy::{Surface, Unit, build};
 use palpate_tissue::cell::NO_CELL;
 use palpate_tissue::file::{ModelFile, decode_model, encode_model};
 use palpate_tissue::{BladePoint, CutStroke, FaceId, Topology, Vec3, block, cut};
@@ -115,4 +117,115 @@ fn thigh_model_file_round_trip() {
         report_json: String::new(),
     };
     assert_ne!(other.encode(), bytes);
+}
+
+/// Volume in m³ of the part of a closed surface on the side of a plane that its normal points to. The face that closes the
+/// part lies in the plane and contributes nothing, because the origin of the tetrahedra does too.
+fn clipped_volume(surface: &Surface, origin: &Vec3, normal: &Vec3) -> f64 {
+    let mut sixfold = 0.0;
+    for triangle in 0..surface.triangles.len() {
+        let corners = surface.corners(triangle).map(|p| p - origin);
+        let mut inside: Vec<Vec3> = Vec::new();
+        for i in 0..3 {
+            let [from, to] = [corners[i], corners[(i + 1) % 3]];
+            let [a, b] = [from.dot(normal), to.dot(normal)];
+            if a >= 0.0 {
+                inside.push(from);
+            }
+            if (a >= 0.0) != (b >= 0.0) {
+                inside.push(from + (to - from) * (a / (a - b)));
+            }
+        }
+        for pair in inside.windows(2).skip(1) {
+            sixfold += inside[0].dot(&pair[0].cross(&pair[1]));
+        }
+    }
+    sixfold / 6.0
+}
+
+#[test]
+fn clipped_volume_of_a_cube_is_exact() {
+    let corner = |i: usize| Vec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2 & 1) as f64);
+    let faces = palpate_tissue::cell::FACES.map(|f| f.map(|i| i as u32));
+    let cube = Surface {
+        vertices: (0..8).map(corner).collect(),
+        triangles: faces
+            .iter()
+            .flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]])
+            .collect(),
+    };
+    let normal = Vec3::new(1.0, 1.0, 1.0).normalize();
+    // A corner of the cube is a tetrahedron with three unit edges.
+    let near = Vec3::new(1.0, 0.0, 0.0);
+    assert!((clipped_volume(&cube, &near, &-normal) - 1.0 / 6.0).abs() < 1e-12);
+    assert!((clipped_volume(&cube, &near, &normal) - 5.0 / 6.0).abs() < 1e-12);
+}
+
+/// A plane through fat and muscle in front of the femur, from end to end and side to side.
+#[test]
+fn cut_right_through_a_real_thigh_gives_the_exact_parts() {
+    let Some(folder) = real_thigh::folder() else {
+        return;
+    };
+    let (model, _) = build(&real_thigh::scene(&folder), &mut |_, _| ()).unwrap();
+    let uncut = Topology::new(Arc::new(model));
+    let surfaces = ["skin", "muscle"].map(|part| {
+        let path = folder.join(format!("thigh_{part}.stl"));
+        let mut surface = Surface::read(&path, Unit::Millimetre).unwrap();
+        surface.check().unwrap();
+        surface
+    });
+    for (y, lean, turn) in [(-0.04, 0.0, 0.0), (-0.04, 0.1, 0.05), (-0.052, -0.05, 0.03)] {
+        let mut t = uncut.clone();
+        let origin = Vec3::new(-0.088, y, 0.585);
+        let normal = Vec3::new(lean, 1.0, turn).normalize();
+        // The blade lies in the plane, across the thigh, and moves along it.
+        let axis = Vec3::x() - normal * normal.x;
+        let axis = axis.normalize();
+        let along = axis.cross(&normal);
+        let point = |s: f64| BladePoint {
+            tip: origin + along * s - axis * 0.12,
+            axis,
+            depth_m: 0.24,
+        };
+        let stroke = CutStroke {
+            points: (-15..=15).map(|i| point(f64::from(i) * 0.01)).collect(),
+            width_m: 0.0,
+        };
+        let outcome = cut(&mut t, &stroke).unwrap();
+        cut_laws::check_surface(&t);
+        let volumes = t.component_volumes();
+        assert_eq!(volumes.len(), 2, "y = {y}: {volumes:?}");
+        assert_eq!(outcome.components_near, 2);
+        let exact = [normal, -normal].map(|n| clipped_volume(&surfaces[0], &origin, &n));
+        assert!((exact.iter().sum::<f64>() / surfaces[0].volume() - 1.0).abs() < 1e-9);
+        let side = |c: u32| {
+            let corners = t.corners(c).map(|n| (t.rest(n) - origin).dot(&normal));
+            corners.iter().sum::<f64>() > 0.0
+        };
+        let cells = 0..t.cell_count() as u32;
+        let front: f64 = cells
+            .clone()
+            .filter(|&c| side(c))
+            .map(|c| t.volume(c))
+            .sum();
+        let muscle =
+            cells.filter(|&c| side(c) && t.model().regions[t.region(c).index()].name == "muscle");
+        let muscle: f64 = muscle.map(|c| t.volume(c)).sum();
+        let exact_muscle = clipped_volume(&surfaces[1], &origin, &normal);
+        let part = |v: f64, exact: f64| v / exact - 1.0;
+        let [small, large] = [volumes[0].min(volumes[1]), volumes[0].max(volumes[1])];
+        println!(
+            "y = {y}: front {:.3} %, back {:.3} %, muscle in front {:.3} %, {} faces",
+            100.0 * part(small, exact[0].min(exact[1])),
+            100.0 * part(large, exact[0].max(exact[1])),
+            100.0 * part(muscle, exact_muscle),
+            outcome.faces_opened
+        );
+        assert!(part(small, exact[0].min(exact[1])).abs() < 0.01);
+        assert!(part(large, exact[0].max(exact[1])).abs() < 0.01);
+        assert!(part(muscle, exact_muscle).abs() < 0.01);
+        // The pieces are the two sides of the plane.
+        assert!(part(front, exact[0]).abs() < 0.01);
+    }
 }

@@ -107,6 +107,18 @@ impl Canvas {
         }
     }
 
+    /// Draws a filled circle with a light rim.
+    pub(super) fn dot(&mut self, [x, y]: [f32; 2], radius: f32, with: Colour) {
+        for (radius, with) in [(radius + 1.2, PAPER), (radius, with)] {
+            if let Some(path) = PathBuilder::from_circle(x, y, radius) {
+                let paint = paint(with, 1.0, true);
+                let still = Transform::identity();
+                self.0
+                    .fill_path(&path, &paint, FillRule::Winding, still, None);
+            }
+        }
+    }
+
     /// Draws a line of text with its upper left corner at a point.
     pub(super) fn text(&mut self, text: &str, [x, y]: [f32; 2], letters: Letters, with: Colour) {
         let [r, g, b] = with;

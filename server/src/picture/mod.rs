@@ -1,13 +1,18 @@
-//! The picture of a cross-section of a model: coloured regions, springs, poor cells, legend and scale.
+//! Pictures of tissue. A sheet shows a cross-section of a model or the walls of wounds: coloured regions, springs, poor cells,
+//! legend and scale. A figure shows panels of surfaces and cross-sections in a row.
 //!
 //! tiny-skia draws the raster and embedded-graphics provides bitmap fonts. Both are small, need no system library and
 //! draw equal bits everywhere.
 
 mod canvas;
 mod colour;
+mod figure;
+mod frame;
 mod legend;
+mod panel;
 mod section;
 mod sheet;
+mod view;
 mod wound;
 
 use std::str::FromStr;
@@ -16,7 +21,10 @@ use palpate_tissue::file::ModelFile;
 use palpate_tissue::{Model, Topology};
 
 use crate::ServerError;
+pub use figure::figure;
+pub use panel::Panel;
 use section::Section;
+pub use view::View;
 
 /// The plane of a cross-section.
 #[derive(Debug, Clone, Copy, PartialEq)]

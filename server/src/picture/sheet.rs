@@ -4,6 +4,7 @@ use palpate_tissue::Model;
 
 use super::canvas::{Canvas, Letters};
 use super::colour::{self, Colour, INK, INVERTED, PALE_INK, POOR};
+use super::frame::{Frame, round_length};
 use super::legend::{self, Figures, Legend};
 use super::section::{Grade, Point, Section};
 
@@ -14,8 +15,6 @@ const LEFT: f32 = 70.0;
 const TOP: f32 = 76.0;
 const GAP: f32 = 40.0;
 const BOTTOM: f32 = 84.0;
-/// Margin between section and frame, relative to the section.
-const MARGIN: f64 = 0.03;
 /// Minimum pixels per spacing at which springs are drawn by default; outlines of cells need fewer.
 const SPRINGS_FROM: f64 = 12.0;
 const OUTLINES_FROM: f64 = 4.0;
@@ -29,7 +28,7 @@ pub(super) fn draw(
     name: &str,
     springs: bool,
 ) -> Result<Vec<u8>, String> {
-    let frame = Frame::around(section);
+    let frame = Frame::around(section.bounds, ROOM, [LEFT, TOP]);
     let legend = Legend::of(model, section);
     let width = LEFT + frame.size[0] + GAP + legend::WIDTH;
     let height = TOP + (frame.size[1] + BOTTOM).max(legend.height());
@@ -37,14 +36,14 @@ pub(super) fn draw(
     let spacing = model.spacing_m * 1e3 * frame.scale;
     let springs = section.at_mm.is_some() && (springs || spacing >= SPRINGS_FROM);
     title(&mut canvas, model, section, name);
-    canvas.lines(frame.lines(&section.context), 1.2, PALE_INK, 0.8);
+    canvas.lines(lines(&frame, &section.context), 1.2, PALE_INK, 0.8);
     cells(&mut canvas, &frame, section, &colour::of_regions(model));
     if springs {
         draw_springs(&mut canvas, &frame, section, spacing);
     } else if spacing >= OUTLINES_FROM {
-        canvas.lines(frame.outlines(section, false), 0.6, INK, 0.35);
+        canvas.lines(outlines(&frame, section, false), 0.6, INK, 0.35);
     }
-    canvas.lines(frame.outlines(section, true), 2.0, INK, 1.0);
+    canvas.lines(outlines(&frame, section, true), 2.0, INK, 1.0);
     marks(&mut canvas, &frame, section);
     scale(&mut canvas, &frame, section.axis);
     let right = LEFT + frame.size[0] + GAP;
@@ -52,45 +51,16 @@ pub(super) fn draw(
     canvas.png()
 }
 
-/// From mm of the section to pixels of the sheet.
-struct Frame {
-    /// Pixels per mm.
-    scale: f64,
-    /// Pixels of the frame.
-    size: [f32; 2],
-    /// Coordinates of the frame's lower left corner, in mm.
-    origin: Point,
+fn lines(frame: &Frame, of: &[[Point; 2]]) -> Vec<[[f32; 2]; 2]> {
+    of.iter().map(|l| l.map(|p| frame.at(p))).collect()
 }
 
-impl Frame {
-    fn around(section: &Section) -> Self {
-        let [low, high] = section.bounds;
-        let margin = MARGIN * (high[0] - low[0]).max(high[1] - low[1]);
-        let extent = [0, 1].map(|a| (high[a] - low[a] + 2.0 * margin).max(f64::MIN_POSITIVE));
-        let scale = (f64::from(ROOM[0]) / extent[0]).min(f64::from(ROOM[1]) / extent[1]);
-        Self {
-            scale,
-            size: extent.map(|e| (e * scale).ceil() as f32),
-            origin: low.map(|v| v - margin),
-        }
-    }
-
-    fn at(&self, p: Point) -> [f32; 2] {
-        let [x, y] = [0, 1].map(|a| ((p[a] - self.origin[a]) * self.scale) as f32);
-        [LEFT + x, TOP + self.size[1] - y]
-    }
-
-    fn lines(&self, of: &[[Point; 2]]) -> Vec<[[f32; 2]; 2]> {
-        of.iter().map(|l| l.map(|p| self.at(p))).collect()
-    }
-
-    fn outlines(&self, section: &Section, border: bool) -> Vec<[[f32; 2]; 2]> {
-        let lines = section.cells.iter().flat_map(|c| &c.outline);
-        lines
-            .filter(|(_, is_border)| *is_border == border)
-            .map(|(line, _)| line.map(|p| self.at(p)))
-            .collect()
-    }
+fn outlines(frame: &Frame, section: &Section, border: bool) -> Vec<[[f32; 2]; 2]> {
+    let lines = section.cells.iter().flat_map(|c| &c.outline);
+    lines
+        .filter(|(_, is_border)| *is_border == border)
+        .map(|(line, _)| line.map(|p| frame.at(p)))
+        .collect()
 }
 
 fn title(canvas: &mut Canvas, model: &Model, section: &Section, name: &str) {
@@ -124,8 +94,8 @@ fn cells(canvas: &mut Canvas, frame: &Frame, section: &Section, colours: &[Colou
 
 fn draw_springs(canvas: &mut Canvas, frame: &Frame, section: &Section, spacing: f64) {
     let width = (spacing * 0.05).clamp(0.5, 1.6) as f32;
-    canvas.lines(frame.lines(&section.shear), width * 0.6, INK, 0.28);
-    canvas.lines(frame.lines(&section.structural), width, INK, 0.6);
+    canvas.lines(lines(frame, &section.shear), width * 0.6, INK, 0.28);
+    canvas.lines(lines(frame, &section.structural), width, INK, 0.6);
 }
 
 /// Cells of poor shape, over everything else.
@@ -192,35 +162,4 @@ fn scale(canvas: &mut Canvas, frame: &Frame, axis: usize) {
     let width = label.chars().count() as f32 * Letters::Bold.width();
     let place = [x1 - 0.5 * (length + width), below + 9.0];
     canvas.text(&label, place, Letters::Bold, INK);
-}
-
-/// The smallest round number (1, 2 or 5 times a power of ten) above a length.
-fn round_length(at_least: f64) -> f64 {
-    let power = 10_f64.powf(at_least.max(f64::MIN_POSITIVE).log10().floor());
-    let steps = [1.0, 2.0, 5.0, 10.0].map(|m| m * power);
-    steps
-        .into_iter()
-        .find(|s| *s >= at_least)
-        .unwrap_or(steps[3])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn round_lengths_are_one_two_or_five_times_a_power_of_ten() {
-        for (at_least, round) in [
-            (0.9, 1.0),
-            (1.1, 2.0),
-            (37.0, 50.0),
-            (0.013, 0.02),
-            (5.0, 5.0),
-        ] {
-            assert!(
-                (round_length(at_least) - round).abs() < 1e-12 * round,
-                "{at_least}"
-            );
-        }
-    }
 }

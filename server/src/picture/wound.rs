@@ -1,41 +1,28 @@
 //! The walls of wounds as a section: seen along the axis that they face most, nearer walls before farther ones.
 
-use palpate_tissue::cell::FACES;
-use palpate_tissue::{FaceId, Model, Topology, Vec3};
+use palpate_tissue::{Model, Shape, Topology};
 
 use super::Slice;
 use super::section::{CellCut, Grade, MM, Section, flat};
+use super::view::{SeenFace, View, seen};
 use crate::cut::walls::wall_faces;
 
 /// Margin around the walls, relative to their extent, in which the outline of the model shows.
 const MARGIN: f64 = 0.25;
 
-/// A wall: its corners, centre and outward normal with its area as length.
-struct Wall {
-    face: FaceId,
-    corners: [Vec3; 4],
-    centre: Vec3,
-    area: Vec3,
-}
-
 /// The walls of a cut topology with the outline of its model behind them; `None` without a wound.
 pub(super) fn walls(topology: &Topology, model: &Model) -> Option<Section> {
-    let walls: Vec<Wall> = wall_faces(topology)
+    let shape = Shape::rest(topology);
+    let walls: Vec<SeenFace> = wall_faces(topology)
         .into_iter()
-        .map(|face| wall(topology, face))
+        .map(|face| SeenFace::of(topology, &shape, face))
         .collect();
     let facing = |axis: usize| walls.iter().map(|w| w.area[axis].abs()).sum::<f64>();
     let axis = (0..3).max_by(|&a, &b| facing(a).total_cmp(&facing(b)))?;
-    // The sections show x to the right and z up, so their viewer stands at negative y.
-    let towards = if axis == 1 { -1.0 } else { 1.0 };
-    let mut seen: Vec<Wall> = walls
-        .into_iter()
-        .filter(|w| w.area[axis] * towards > 0.0)
-        .collect();
-    seen.sort_by(|a, b| (a.centre[axis] * towards).total_cmp(&(b.centre[axis] * towards)));
+    let seen = seen(walls, &View::along(axis));
     let first = seen.first()?;
-    let at_mm = seen.iter().map(|w| w.centre[axis]).sum::<f64>() / seen.len() as f64 * MM;
-    let mut bounds = [flat(axis, first.centre); 2];
+    let at_mm = seen.iter().map(|w| w.centre()[axis]).sum::<f64>() / seen.len() as f64 * MM;
+    let mut bounds = [flat(axis, first.centre()); 2];
     for p in seen.iter().flat_map(|w| w.corners) {
         let p = flat(axis, p);
         for a in 0..2 {
@@ -70,19 +57,7 @@ pub(super) fn walls(topology: &Topology, model: &Model) -> Option<Section> {
     })
 }
 
-fn wall(topology: &Topology, face: FaceId) -> Wall {
-    let nodes = topology.corners(face.cell());
-    let corners = FACES[face.face()].map(|i| topology.rest(nodes[i]));
-    let [a, b, c, d] = corners;
-    Wall {
-        face,
-        corners,
-        centre: corners.iter().sum::<Vec3>() / 4.0,
-        area: (c - a).cross(&(d - b)) * 0.5,
-    }
-}
-
-fn piece(topology: &Topology, wall: &Wall, axis: usize) -> CellCut {
+fn piece(topology: &Topology, wall: &SeenFace, axis: usize) -> CellCut {
     let [a, b, c, d] = wall.corners.map(|p| flat(axis, p));
     CellCut {
         region: topology.region(wall.face.cell()).index(),

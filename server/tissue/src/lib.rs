@@ -81,7 +81,7 @@ pub type Vec3 = nalgebra::Vector3<f64>;
 pub mod limits {
     pub use crate::contact::{PLACES_MAX, TOOL_REACH_MAX_M, TOOLS_MAX};
     pub use crate::cut::{
-        BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M,
+        BLADE_DEPTH_MAX_M, BLADE_POINTS_MAX, REST_WIDTH_MAX, STROKE_LENGTH_MAX_M, WOUND_WIDTH_MAX_M,
     };
     pub use crate::file::{CELLS_MAX, NODES_MAX, POSITION_MAX_M, REGIONS_MAX};
 }

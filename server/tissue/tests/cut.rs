@@ -273,6 +273,34 @@ fn wide_wound_opens_at_the_top_and_closes_at_the_front() {
 }
 
 #[test]
+fn wide_wound_across_the_lattice_follows_the_width_law() {
+    let mut t = topology([16, 16, 8], D);
+    let before = Outline::of(&t);
+    let middle = Vec3::new(8.0, 8.0, 0.0) * D;
+    let along = Vec3::new(0.9, 0.43, 0.0).normalize();
+    let [from, to] = [-5.0, 5.0].map(|s| middle + along * (s * D));
+    let (height, depth, width) = (8.0 * D, 5.0 * D, 0.08 * D);
+    let mut s = upright([from.x, from.y], [to.x, to.y], height, depth);
+    s.width_m = width;
+    let outcome = cut(&mut t, &s).unwrap();
+    let normal = along.cross(&Vec3::z());
+    let is_on_law = |d: &&(u32, u32)| {
+        let [a, b] = [t.rest(d.0), t.rest(d.1)];
+        let law = width * (1.0 - (height - a.z) / depth);
+        ((a - b).dot(&normal).abs() - law).abs() < 0.01 * width
+    };
+    let on = outcome.doubled.iter().filter(is_on_law).count();
+    println!("{on} of {} pairs on the law", outcome.doubled.len());
+    // Cells at steps of the lattice are thin; most of their nodes still reach their place.
+    assert!(on * 10 >= outcome.doubled.len() * 9, "{on}");
+    cut_laws::check_surface(&t);
+    cut_laws::check_cells(&t);
+    cut_laws::check_derived(&t);
+    let lost = 1.0 - cut_laws::volume(&t) / before.volume;
+    assert!((0.0..0.005).contains(&lost), "{lost}");
+}
+
+#[test]
 fn cut_keeps_the_displacement_field() {
     let t = topology([10, 10, 10], D);
     let bend = nalgebra::Matrix3::new(0.1, 0.2, 0.0, 0.0, -0.1, 0.05, 0.1, 0.0, 0.2);

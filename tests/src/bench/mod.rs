@@ -6,7 +6,6 @@
 pub mod ablate;
 pub mod bytes;
 pub mod coding;
-pub mod cut_time;
 pub mod cuts;
 pub mod haptic_tick;
 pub mod late_join;

@@ -30,7 +30,7 @@ An experiment file (its paths are relative to the file):
   seed = 7                                       also seeds, real, profile, model, if the experiment accepts them
   motion = \"hand.csv\"
 
---json prints one JSON object; --out writes it to NAME.json:
+--json prints one JSON object; --out writes it to NAME.json, and charts (SVG), pictures (PNG) and tables (CSV):
   table-7-1     {experiment, seed, speed_rms_mm_s, rows [{kind: interpolation|extrapolation, method, rate_hz, gap_ms,
                 rms_mm, max_mm, rms_deg, force_percent, n}]}
   missing-data  {experiment, rate_hz, gap_ms, methods [{kind, method, rms_mm, max_mm, rms_deg}]}
@@ -42,6 +42,11 @@ An experiment file (its paths are relative to the file):
   replicas      {profile, seeds, shape_disagreement_mm {p50, p95, max}, force_error_rms, force_error_p95, hashes_equal,
                 bytes_per_s {up, down}, ok, missed [one message per missed limit], networks [the same for each network]};
                 thin and scale also have ok and missed; the exit code is 1 if ok is false
+  cut-time      {experiment, sizes [{nodes, opening, first_ms, cut | other | follow | step | quiet_step {p50_ms, p99_ms,
+                max_ms}, cut_ratio}]}
+  cut-width     {experiment, cuts [{model, width_mm, depth_mm, pairs, on_law_percent, deviation_max_mm, ...}]}
+  cut-gallery   {experiment, pictures [{picture, figure, faces, on_path_percent, off_path (spacings), components, quantity,
+                measured, expected}], quality [{model, refinement, cells, inverted, worst, p5, mean, shortest_spring}]}
   on tissue     {experiment, spots | cases | materials | paths [{..., deviation {largest, n, rms, worst}}]}: largest force
                 (N) or torque (N m), rms and worst deviation from the converged solution as shares of it
 Lengths end in _mm or _um, times in _ms, angles in _deg; shares are 0 to 1 unless they end in _percent.
@@ -58,10 +63,10 @@ pub struct RunArguments {
     experiment: Which,
     #[command(flatten)]
     options: Recipe,
-    /// Print one line of JSON; write charts and tables only with -o
+    /// Print one line of JSON; write charts, pictures and tables only with -o
     #[arg(long)]
     json: bool,
-    /// Directory for figures (JSON), charts (SVG) and tables (CSV) [default: palpate-experiments; with
+    /// Directory for figures (JSON), charts (SVG), pictures (PNG) and tables (CSV) [default: palpate-experiments; with
     /// --json none]
     #[arg(short, long = "out", value_name = "DIR")]
     out: Option<PathBuf>,

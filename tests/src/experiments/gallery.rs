@@ -18,7 +18,7 @@ every packet. The tissue experiments compare the force rendered at 1 kHz with in
 slightly on the machine's speed. Figures and tables in brackets are the corresponding ones of the dissertation (Lin 2007).";
 
 const STYLE: &str = "body{font-family:sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222;line-height:1.4}\
-figure{margin:1em 0}svg{max-width:100%;height:auto}\
+figure{margin:1em 0}svg,img{max-width:100%;height:auto}\
 pre,code{background:#f4f4f4}pre{padding:.8em;overflow-x:auto}code{padding:.1em .3em}\
 h2{margin-top:2em;border-top:1px solid #ccc;padding-top:1em}\
 .scroll{overflow-x:auto}table{border-collapse:collapse;margin:.8em 0;font-size:.85em;font-variant-numeric:tabular-nums}\
@@ -135,6 +135,9 @@ fn results(part: &Part, outcome: &Outcome) -> Markup {
     html! {
         p { (outcome.caption) }
         @for (_, chart) in &outcome.charts { figure { (PreEscaped(chart.to_svg())) } }
+        @for (name, _) in &outcome.pictures {
+            figure { img src=(format_args!("{name}.png")) alt=(name); figcaption.aside { (name) } }
+        }
         @match &outcome.text {
             Some(text) => pre { (text) },
             None => (shown(&figures)),
@@ -146,12 +149,13 @@ fn results(part: &Part, outcome: &Outcome) -> Markup {
 
 fn files(part: &Part, outcome: &Outcome) -> Markup {
     let charts = outcome.charts.iter().map(|(n, _)| format!("{n}.svg"));
+    let pictures = outcome.pictures.iter().map(|(n, _)| format!("{n}.png"));
     let tables = outcome.tables.iter().map(|(n, _)| format!("{n}.csv"));
     let json = std::iter::once(format!("{}.json", part.item.name));
     html! {
         p.aside {
             "Files: "
-            @for (k, file) in charts.chain(tables).chain(json).enumerate() {
+            @for (k, file) in charts.chain(pictures).chain(tables).chain(json).enumerate() {
                 @if k > 0 { ", " }
                 (link(&file, &file))
             }
@@ -279,7 +283,14 @@ mod tests {
 
     #[test]
     fn page_loads_no_external_resources() {
-        let html = page(&[part("good", Ok(outcome()))], &origin());
+        let pictured = Outcome {
+            pictures: vec![("wound".to_owned(), Vec::new())],
+            ..outcome()
+        };
+        let html = page(&[part("good", Ok(pictured))], &origin());
+        // Pictures are files beside the page.
+        assert_eq!(html.matches("src=\"wound.png\"").count(), 1);
+        let html = html.replace("src=\"wound.png\"", "");
         for loading in ["<script", "src=", "<link", "@import", "url("] {
             assert!(!html.contains(loading), "{loading}");
         }

@@ -1,13 +1,17 @@
 //! Experiments that compare simulated forces and views with reference solutions.
 //!
-//! An experiment returns figures, tables (CSV) and charts (SVG). Those on haptics consist of
+//! An experiment returns figures, tables (CSV), charts (SVG) and pictures (PNG). Those on haptics consist of
 //! [scenarios](crate::scenario). Descriptions name the corresponding figures of the dissertation. The
 //! [`gallery`](mod@gallery) presents all results on one page.
 
 mod atc;
 pub mod command;
 mod cut_force;
+mod cut_gallery;
 mod cut_methods;
+mod cut_site;
+mod cut_time;
+mod cut_width;
 mod friction;
 pub mod gallery;
 mod handle;
@@ -46,26 +50,31 @@ pub struct Outcome {
     pub figures: Value,
     /// Charts by file name, without extension.
     pub charts: Vec<(String, Chart)>,
+    /// Pictures (PNG) by file name, without extension.
+    pub pictures: Vec<(String, Vec<u8>)>,
     pub tables: Vec<(String, Table)>,
     /// A report that shows the figures instead of tables.
     pub text: Option<String>,
 }
 
 impl Outcome {
-    /// Writes charts, tables and the figures as `name.json` into `dir`, which is created if necessary.
+    /// Writes charts, pictures, tables and the figures as `name.json` into `dir`, which is created if necessary.
     pub fn write(&self, dir: &Path, name: &str) -> Result<(), String> {
         make_folder(dir)?;
-        let write = |file: String, text: String| {
-            write_file(&dir.join(file), text).map_err(|e| e.to_string())
+        let write = |file: String, bytes: &[u8]| {
+            write_file(&dir.join(file), bytes).map_err(|e| e.to_string())
         };
         for (name, chart) in &self.charts {
-            write(format!("{name}.svg"), chart.to_svg())?;
+            write(format!("{name}.svg"), chart.to_svg().as_bytes())?;
+        }
+        for (name, picture) in &self.pictures {
+            write(format!("{name}.png"), picture)?;
         }
         for (name, table) in &self.tables {
-            write(format!("{name}.csv"), table.to_csv())?;
+            write(format!("{name}.csv"), table.to_csv().as_bytes())?;
         }
         let figures = serde_json::to_string_pretty(&self.figures).expect("figures are plain data");
-        write(format!("{name}.json"), figures + "\n")
+        write(format!("{name}.json"), (figures + "\n").as_bytes())
     }
 
     /// The caption with the short tables, or with the figures if there are none.

@@ -2,8 +2,9 @@
 
 use super::inputs::Input::{self, Model, Motion, Profile, Real, Seed, Seeds};
 use super::{
-    Bench, Outcome, atc, cut_force, cut_methods, friction, handle, leg_press, missing_data, press,
-    replicas, scale, soft_hard, table_7_1, thin, tool_paths,
+    Bench, Outcome, atc, cut_force, cut_gallery, cut_methods, cut_time, cut_width, friction,
+    handle, leg_press, missing_data, press, replicas, scale, soft_hard, table_7_1, thin,
+    tool_paths,
 };
 
 #[derive(Debug, Clone, Copy)]
@@ -47,6 +48,12 @@ pub const ALL: &[Experiment] = experiments! {
         "one stroke by element removal, subdivision, subdivision with snapping, and a sheet (fig 2.3)";
     "cut-force", 8.0, [], Work::Experiment(cut_force::run),
         "force of a blade that cuts skin, fat, muscle and liver, and its work per area of the wound";
+    "cut-time", 6.0, [], Work::Experiment(cut_time::run),
+        "time of a blade sample over the length of a cut, in models of three sizes (fig 7.13)";
+    "cut-width", 15.0, [Model], Work::Experiment(cut_width::run),
+        "opening of a cut over the depth below the surface, at rest and retracted (fig 7.17)";
+    "cut-gallery", 6.0, [Model], Work::Experiment(cut_gallery::run),
+        "pictures of cuts: snapping, curves, refinement, layers, depths, crossings, a piece (figs 5.10, 7.14 to 7.20)";
     "press", 135.0, [Model], Work::Experiment(press::run),
         "force error of the haptic path: a ball and a line pressed at 100 mm/s, the line then dragged";
     "atc-none", 6.1, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::none),

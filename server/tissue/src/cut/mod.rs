@@ -63,6 +63,7 @@ pub use stroke::{
 pub use stroke_part::StrokePart;
 pub use swept_surface::SweptSurface;
 pub use to_rest::{RestPoint, to_rest};
+pub use width::REST_WIDTH_MAX;
 
 use crate::limits::NODES_MAX;
 use crate::{RegionId, Topology};

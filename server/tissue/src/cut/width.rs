@@ -7,7 +7,8 @@
 //! ± w/2 n,    w = w0 h / D
 //! ```
 //!
-//! so that the wound is widest at the top and closed at its front.
+//! so that the wound is widest at the top and closed at its front. The width at rest is at most [`REST_WIDTH_MAX`]; a wound
+//! gapes farther where its tissue is pulled.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -18,9 +19,12 @@ use super::stroke::CutStroke;
 use crate::cell::NO_CELL;
 use crate::{Topology, Vec3};
 
-/// Largest offset of one side at rest, in spacings. An offset takes rest volume from the cells beside
-/// the wound; at this bound no more than a twentieth of each.
-const OFFSET_MAX: f64 = 0.05;
+/// Largest width of a wound at rest, in spacings. The offset of each side takes rest volume from the cells beside the
+/// wound; at this bound no more than a twentieth of each.
+pub const REST_WIDTH_MAX: f64 = 0.1;
+
+/// Sweeps over the nodes. Each sweep moves a node at most to its place.
+const SWEEPS: usize = 8;
 
 /// Parts the doubled nodes; gives those that moved.
 pub(crate) fn widen(
@@ -32,12 +36,13 @@ pub(crate) fn widen(
     if stroke.width_m <= 0.0 {
         return Vec::new();
     }
-    let limit = OFFSET_MAX * topology.model.spacing_m;
+    let limit = REST_WIDTH_MAX / 2.0 * topology.model.spacing_m;
     let nodes: BTreeSet<u32> = doubled.iter().flat_map(|d| [d.0, d.1]).collect();
     let mut moves = Moves {
         topology,
         old: HashMap::new(),
     };
+    let mut targets = Vec::with_capacity(nodes.len());
     for node in nodes {
         let at = moves.rest(node);
         let Some(foot) = ribbon.nearest(&at) else {
@@ -52,7 +57,13 @@ pub(crate) fn widen(
             Freedom::Held(free) => free * offset,
             Freedom::Pinned => continue,
         };
-        moves.advance(node, at + offset);
+        targets.push((node, at + offset));
+    }
+    // A node in a thin cell at a step of the lattice advances only with the other nodes of that cell.
+    for _ in 0..SWEEPS {
+        for &(node, target) in &targets {
+            moves.advance(node, target);
+        }
     }
     let mut moved: Vec<u32> = moves.old.into_keys().collect();
     moved.sort_unstable();
