@@ -5,6 +5,8 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use palpate_site::{CutOrder, MadeCut, Prefetch, ReplicaError};
 use palpate_transport::threads::{self, ThreadClass};
 
+use crate::realtime::single_thread_pool;
+
 /// A thread that prepares cuts in log order. Dropping this ends it.
 pub(crate) struct CutWorker {
     orders: Sender<CutOrder>,
@@ -16,6 +18,7 @@ impl CutWorker {
         let (orders, received) = channel();
         let (results, news) = channel();
         threads::spawn(ThreadClass::Cut, "cuts", move || {
+            let _pool = single_thread_pool();
             serve(prefetch, &received, &results);
         })?;
         Ok(Self { orders, news })

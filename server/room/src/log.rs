@@ -231,9 +231,12 @@ impl Log {
         Some((snapshot.info, &snapshot.pieces))
     }
 
-    /// Whether the next snapshot is due. It is due once.
+    /// Whether the next snapshot is due. It is due once, and after every reset: that of uncut tissue is small and returns
+    /// the space of all cuts.
     pub(crate) fn poll_snapshot_due(&mut self) -> bool {
-        let is_due = self.uncovered.count >= self.due_at + SNAPSHOT_EVERY;
+        let is_reset = |o: &Arc<Operation>| o.kind == OperationKind::Reset;
+        let is_due = self.uncovered.count >= self.due_at + SNAPSHOT_EVERY
+            || self.operations.last().is_some_and(is_reset);
         if is_due {
             self.due_at = self.uncovered.count;
         }

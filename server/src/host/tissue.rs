@@ -69,14 +69,15 @@ impl TissueThreads {
             answer: answer.clone(),
             feed,
         };
-        let pool = solver_pool()?;
+        let solvers = pool("solver", ThreadClass::ServerTick)?;
         threads::spawn(ThreadClass::Background, "tissue", move || {
-            pool.install(move || settler.run(&todo));
+            solvers.install(move || settler.run(&todo));
         })
         .map_err(io)?;
         let prepared = work.clone();
-        let cuts = threads::spawn(ThreadClass::Cut, "cuts", move || {
-            cut_all(cutter, &jobs_todo, &prepared, &answer)
+        let cutters = pool("cutter", ThreadClass::Cut)?;
+        let cuts = threads::spawn(ThreadClass::Background, "cuts", move || {
+            cutters.install(move || cut_all(cutter, &jobs_todo, &prepared, &answer))
         })
         .map_err(io)?;
         let threads = Self {
@@ -100,13 +101,14 @@ impl TissueThreads {
     }
 }
 
-/// Solver threads: half the processors, because other sessions share the machine.
-fn solver_pool() -> Result<rayon::ThreadPool, ServerError> {
+/// Threads of a class for the loops of the solver or of the cuts: half the processors, because other sessions share the
+/// machine.
+fn pool(name: &'static str, class: ThreadClass) -> Result<rayon::ThreadPool, ServerError> {
     let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
     rayon::ThreadPoolBuilder::new()
         .num_threads((cores / 2).max(1))
-        .thread_name(|i| format!("solver-{i}"))
-        .start_handler(|_| threads::join(ThreadClass::ServerTick))
+        .thread_name(move |i| format!("{name}-{i}"))
+        .start_handler(move |_| threads::join(class))
         .exit_handler(|_| threads::leave())
         .build()
         .map_err(|e| ServerError::Io {

@@ -20,7 +20,7 @@ use std::sync::Arc;
 
 use crate::cell::{FACES, NO_CELL};
 use crate::cut::derive_around;
-use crate::file::{Content, FileError, Reader, open, seal};
+use crate::file::{Content, FileError, Reader, open_within, seal};
 use crate::limits::NODES_MAX;
 use crate::stroke_list::{read_strokes, write_strokes};
 use crate::{CutHistory, FaceId, Model, Topology, Vec3};
@@ -28,6 +28,8 @@ use crate::{CutHistory, FaceId, Model, Topology, Vec3};
 const MAGIC: [u8; 8] = *b"palpsnap";
 /// Version of the snapshot format that this program writes and reads.
 pub const SNAPSHOT_FORMAT: u32 = 2;
+/// Most bytes of content: those of a model of a million nodes that is cut everywhere.
+const CONTENT_MAX_BYTES: u64 = 256 * 1024 * 1024;
 /// Largest coordinate of a rest position, in m; a larger one means damage.
 const POSITION_MAX_M: f64 = 1e5;
 
@@ -118,7 +120,7 @@ pub fn restore(
     uncut: &Arc<Topology>,
     bytes: &[u8],
 ) -> Result<(Arc<Topology>, CutHistory), FileError> {
-    let content = open(MAGIC, SNAPSHOT_FORMAT, bytes)
+    let content = open_within(MAGIC, SNAPSHOT_FORMAT, bytes, CONTENT_MAX_BYTES)
         .map_err(|defect| FileError(format!("invalid snapshot: {defect}")))?;
     restore_content(uncut, &content).map_err(|defect| {
         FileError(format!(
@@ -147,7 +149,8 @@ fn restore_content(
     let rewired = reader.u32()? as usize;
     let opened = reader.u32()? as usize;
     let hash = reader.u64()?;
-    if nodes < built || nodes > 2 * NODES_MAX || rewired > uncut.cell_count() {
+    let nodes_max = (8 * uncut.cell_count()).min(2 * NODES_MAX);
+    if nodes < built || nodes > nodes_max || rewired > uncut.cell_count() {
         return Err("declares counts out of range".into());
     }
     let mut topology = uncut.as_ref().clone();

@@ -10,6 +10,7 @@
 use std::sync::Arc;
 
 use crate::file::{Content, Reader};
+use crate::limits::BLADE_POINTS_MAX;
 use crate::{BladePoint, CutHistory, CutStroke, StrokePart, Vec3};
 
 const JOINS: u8 = 1;
@@ -51,6 +52,12 @@ pub(crate) fn read_strokes(reader: &mut Reader<'_>) -> Result<(Parts, Vec<Parts>
     let total = |counts: &[u32]| counts.iter().map(|&n| n as usize).sum::<usize>();
     let parts = total(&lengths);
     let points = reader.steps32(parts)?;
+    if points
+        .iter()
+        .any(|&n| !(1..=BLADE_POINTS_MAX).contains(&(n as usize)))
+    {
+        return Err("has a part of a stroke with too few or too many points".into());
+    }
     let flags = reader.bytes(parts)?;
     let strokes = reader.plane64(parts)?;
     let widths = reader.plane64(parts)?;
@@ -63,6 +70,10 @@ pub(crate) fn read_strokes(reader: &mut Reader<'_>) -> Result<(Parts, Vec<Parts>
             before ^= value;
             row[column] = before;
         }
+    }
+    let is_finite = |row: &[u64; 7]| row.iter().all(|&bits| f64::from_bits(bits).is_finite());
+    if !rows.iter().all(is_finite) {
+        return Err("has a point of a stroke that is not finite".into());
     }
     let mut rows = rows.iter().map(point);
     let mut parts = (0..parts).map(|i| {

@@ -170,7 +170,12 @@ impl Replica {
         ahead.unwrap_or_else(|| self.haptic.topology())
     }
 
-    /// The haptic shape; `None` for spectators.
+    /// Whether it has a hand, or will have one after the replay.
+    pub(crate) fn has_hand(&self) -> bool {
+        self.with_hand
+    }
+
+    /// The haptic shape; `None` for spectators and during a replay.
     pub fn haptic_shape(&self) -> Option<&Shape> {
         self.haptic.tissue().map(Tissue::shape)
     }
@@ -251,13 +256,13 @@ impl Replica {
     /// Restores a snapshot of the log before the join, in place of all earlier cuts. [`end_replay`](Self::end_replay)
     /// follows.
     pub(crate) fn restore(&mut self, snapshot: &[u8]) -> Result<(), ReplicaError> {
-        let Some(history) = self.history() else {
-            return Ok(());
-        };
+        let refused = |why: String| ReplicaError::Snapshot(why);
+        let history = (self.history())
+            .ok_or_else(|| refused("came after the view was detached".to_owned()))?;
         let restored = restore(history.uncut(), snapshot);
-        let (topology, history) = restored.map_err(|e| ReplicaError::Snapshot(e.to_string()))?;
+        let (topology, history) = restored.map_err(|e| refused(e.to_string()))?;
         if let Some(thin) = &mut self.thin {
-            thin.view = ThinView::new(&topology);
+            thin.view.restore(&topology);
             thin.history = history;
             self.haptic = HandTissue::Absent(topology);
         } else {

@@ -193,6 +193,16 @@ impl ThinView {
         }
     }
 
+    /// Adopts the topology of a snapshot. Displacements that came before it are kept: the server sends no node again that
+    /// has not moved since.
+    pub(crate) fn restore(&mut self, topology: &Topology) {
+        self.topology_version = topology.version();
+        self.shape = Shape::rest(topology);
+        for node in 0..self.shape.displacement.len() {
+            self.show(node);
+        }
+    }
+
     /// The displayed shape.
     pub fn shape(&self) -> &Shape {
         &self.shape

@@ -74,7 +74,7 @@ impl LastSolve {
 
 impl Site {
     /// The contact model of the tool at `pose`, solved if anything has changed since the last solve; `None` for
-    /// spectators.
+    /// spectators. While the log is replayed the tool touches nothing.
     pub fn haptic_step(
         &mut self,
         now: ClientTime,
@@ -82,7 +82,9 @@ impl Site {
         buttons: u8,
         budget: Budget<'_>,
     ) -> Option<ContactModel> {
-        self.replica.haptic_shape()?;
+        if !self.replica.has_hand() {
+            return None;
+        }
         let own = self.own_tool().map(|description| ToolAt {
             participant: self.me,
             description,

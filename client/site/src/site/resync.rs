@@ -132,7 +132,8 @@ impl Site {
         self.me = welcome.participant;
         let had = self.next_operation;
         let first = welcome.first_operation;
-        if first.0 == 0 && (had > 0 || self.resync_state == ResyncState::Asked) {
+        let has_begun = had > 0 || self.is_detached || self.resync_state == ResyncState::Asked;
+        if first.0 == 0 && has_begun {
             self.begin_resync(welcome, now);
         } else if self.resync_state == ResyncState::Asked {
             // This connection was resumed for another reason; the requested one follows.

@@ -243,6 +243,7 @@ fn snapshot_that_is_too_large_leaves_the_log_as_it_is() {
     assert_eq!(log.for_newcomer().len(), version as usize);
     assert!(log.takes_return(), "a reset makes room");
     change(&mut log, 0, version + 1, OperationKind::Reset);
+    assert!(log.poll_snapshot_due(), "the reset is covered at once");
     assert!(log.cover(version + 1, &[0]) && log.takes_cut(0));
 }
 

@@ -21,8 +21,8 @@ const PIECE: f64 = 0.5;
 const PIECES_MAX: f64 = 64.0;
 /// Halvings of a piece of the edge in which the tissue changes: to a hundredth of its length.
 const HALVINGS: usize = 7;
-/// Most cells that a search expands; the next point of an edge is a cell away at most.
-const SEARCH_MAX: usize = 32;
+/// Cells that a search expands without coming nearer to the point before it ends: all around a cell.
+const IN_VAIN_MAX: usize = 6;
 /// How far outside a cell a point may be by rounding, in cells.
 const ROUNDING: f64 = 1e-9;
 /// Greatest distance of a point in a wound from either side, in cells. A wider wound holds no edge.
@@ -49,6 +49,9 @@ pub fn edge_resistance(
         topology,
         shape,
         cell: None,
+        has_guessed: false,
+        seen: Vec::new(),
+        open: Vec::new(),
     };
     let mut at = |along_m: f64| search.toughness(blade.tip + blade.axis * along_m, near);
     let (mut newtons, mut moment) = (0.0, 0.0);
@@ -88,6 +91,10 @@ struct Search<'a> {
     shape: &'a Shape,
     /// The cell of the latest point in the tissue.
     cell: Option<u32>,
+    has_guessed: bool,
+    /// Cells of the search for the present point.
+    seen: Vec<u32>,
+    open: Vec<Visit>,
 }
 
 impl Search<'_> {
@@ -96,8 +103,9 @@ impl Search<'_> {
         let cells = self.topology.cell_count();
         let known = self.cell.or(*near).filter(|&c| (c as usize) < cells);
         let mut end = known.and_then(|cell| self.cell_at(cell, &world));
-        // The first point of an edge may be far from the latest one.
-        if self.cell.is_none() && end.is_none() {
+        // The edge may be far from where it was.
+        if end.is_none() && !self.has_guessed && self.cell.is_none() {
+            self.has_guessed = true;
             let guess = to_rest(self.topology, self.shape, world);
             end = guess.and_then(|guess| self.cell_at(guess.cell, &world));
         }
@@ -115,25 +123,27 @@ impl Search<'_> {
 
     /// The cell that contains a point, or borders on the wound that does; searched from a cell on, those nearest to the
     /// point first.
-    fn cell_at(&self, from: u32, world: &Vec3) -> Option<u32> {
-        let mut seen = vec![from];
+    fn cell_at(&mut self, from: u32, world: &Vec3) -> Option<u32> {
         let mut best = self.visit(from, world);
-        let mut open = vec![best];
-        for _ in 0..SEARCH_MAX {
-            let nearest =
-                (0..open.len()).min_by(|&a, &b| open[a].outside.total_cmp(&open[b].outside));
+        self.seen.clear();
+        self.open.clear();
+        self.seen.push(from);
+        self.open.push(best);
+        let mut in_vain = 0;
+        while in_vain <= IN_VAIN_MAX && best.outside > ROUNDING {
+            let nearest = (0..self.open.len())
+                .min_by(|&a, &b| self.open[a].outside.total_cmp(&self.open[b].outside));
             let Some(nearest) = nearest else { break };
-            let visit = open.swap_remove(nearest);
-            if visit.outside < best.outside {
-                best = visit;
-            }
-            if best.outside <= ROUNDING {
-                break;
-            }
+            let visit = self.open.swap_remove(nearest);
+            in_vain += 1;
             for next in self.neighbours(visit.cell) {
-                if next != NO_CELL && !seen.contains(&next) {
-                    seen.push(next);
-                    open.push(self.visit(next, world));
+                if next != NO_CELL && !self.seen.contains(&next) {
+                    let visit = self.visit(next, world);
+                    if visit.outside < best.outside {
+                        (best, in_vain) = (visit, 0);
+                    }
+                    self.seen.push(next);
+                    self.open.push(visit);
                 }
             }
         }

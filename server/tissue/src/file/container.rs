@@ -68,6 +68,16 @@ fn pack(part: &[u8], last: bool) -> std::io::Result<Vec<u8>> {
 
 /// Takes content out of its envelope, after every check that the envelope allows.
 pub(crate) fn open(magic: [u8; 8], version: u32, bytes: &[u8]) -> Result<Vec<u8>, String> {
+    open_within(magic, version, bytes, CONTENT_BYTES_MAX)
+}
+
+/// The same for content of at most `content_max` bytes.
+pub(crate) fn open_within(
+    magic: [u8; 8],
+    version: u32,
+    bytes: &[u8],
+    content_max: u64,
+) -> Result<Vec<u8>, String> {
     if bytes.len() < 8 || bytes[..8] != magic {
         return Err("wrong file type; check that the right file was given".into());
     }
@@ -106,7 +116,7 @@ pub(crate) fn open(magic: [u8; 8], version: u32, bytes: &[u8]) -> Result<Vec<u8>
     if checksum(bytes) != u32_at(bytes, 28) {
         return Err("checksum mismatch; the file is damaged, copy it again".into());
     }
-    let max = CONTENT_BYTES_MAX.min(stored.saturating_mul(SHRINKAGE_MAX));
+    let max = content_max.min(stored.saturating_mul(SHRINKAGE_MAX));
     if declared > max {
         return Err(format!(
             "{declared} bytes of content declared, at most {max} possible; the file is damaged"

@@ -25,7 +25,7 @@ mod staged;
 use std::io::Write;
 use std::path::Path;
 
-pub(crate) use container::{open, seal};
+pub(crate) use container::{open, open_within, seal};
 pub use model_check::{CELLS_MAX, NODES_MAX, POSITION_MAX_M, REGIONS_MAX};
 use planes::Short;
 pub(crate) use planes::{Content, Reader};
