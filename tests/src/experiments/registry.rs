@@ -40,13 +40,13 @@ pub const ALL: &[Experiment] = experiments! {
         "a ball and a line dragged over tissue: stick, slip and torque (figs 4.11 to 4.13)";
     "handle", 4.6, [Model], Work::Experiment(handle::run),
         "a soft grip around a hard core: force against depth for three materials (fig 7.4)";
-    "tool-paths", 164.0, [Model], Work::Experiment(tool_paths::run),
+    "tool-paths", 110.0, [Model], Work::Experiment(tool_paths::run),
         "one target point reached along four paths (fig 7.10)";
     "leg-press", 11.5, [Model], Work::Experiment(leg_press::run),
         "a leg with rigid bones pressed over muscle and over bone (fig 7.11)";
     "cut-methods", 6.0, [], Work::Experiment(cut_methods::run),
         "one stroke by element removal, subdivision, subdivision with snapping, and a sheet (fig 2.3)";
-    "cut-force", 8.0, [], Work::Experiment(cut_force::run),
+    "cut-force", 5.0, [], Work::Experiment(cut_force::run),
         "force of a blade that cuts skin, fat, muscle and liver, and its work per area of the wound";
     "cut-time", 6.0, [], Work::Experiment(cut_time::run),
         "time of a blade sample over the length of a cut, in models of three sizes (fig 7.13)";
@@ -87,7 +87,7 @@ pub(super) const BENCHMARKS: &[Experiment] = experiments! {
         released, at 60 frames per second and 0.05 mm. Deflate compresses the same integers, as differences \
         from the acknowledged state, per datagram or frame. Raw uses four-byte numbers. Headers are included."),
         "bits per pose and per node on the wire: this codec, deflate, raw";
-    "bytes", 69.0, [], Work::Command("palpate-lab bench bytes --model thigh --seconds 8 --profile metro --seed 1",
+    "bytes", 40.0, [], Work::Command("palpate-lab bench bytes --model thigh --seconds 8 --profile metro --seed 1",
         "Two full subscribers press and cut a thigh: kbit/s of each by purpose, over the length of their \
         scripts. The column UDP is the total with QUIC overhead and must stay below the limit. The other \
         columns include acknowledgements."),
