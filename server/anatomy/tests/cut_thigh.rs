@@ -13,7 +13,9 @@ use palpate_anatomy::sample::Sample;
 use palpate_anatomy::{Surface, Unit, build};
 use palpate_tissue::cell::NO_CELL;
 use palpate_tissue::file::{ModelFile, decode_model, encode_model};
-use palpate_tissue::{BladePoint, CutStroke, FaceId, Topology, Vec3, block, cut};
+use palpate_tissue::{
+    BladePoint, CutStroke, FaceId, Shape, Topology, Vec3, block, cut, edge_resistance,
+};
 
 fn thigh() -> Topology {
     let input = Sample::Thigh.input().unwrap();
@@ -227,5 +229,38 @@ fn cut_right_through_a_real_thigh_gives_the_exact_parts() {
         assert!(part(muscle, exact_muscle).abs() < 0.01);
         // The pieces are the two sides of the plane.
         assert!(part(front, exact[0]).abs() < 0.01);
+    }
+}
+
+/// Cells at the interface of fat and muscle are distorted, and a cut opens beside the edge.
+#[test]
+fn resistance_of_the_edge_is_continuous_in_a_thigh_before_and_after_a_cut() {
+    let mut t = thigh();
+    for depth in [9e-3, 11e-3, 13e-3] {
+        let stroke = incision(&t, 0.35, 0.55, depth);
+        for is_cut in [false, true] {
+            if is_cut {
+                cut(&mut t, &stroke).unwrap();
+            }
+            let shape = Shape::rest(&t);
+            let (mut near, mut last) = (None, None::<f64>);
+            for pair in stroke.points.windows(2) {
+                let [a, b] = [pair[0], pair[1]];
+                for i in 0..20 {
+                    let share = f64::from(i) / 20.0;
+                    let blade = BladePoint {
+                        tip: a.tip.lerp(&b.tip, share),
+                        axis: a.axis.lerp(&b.axis, share).normalize(),
+                        depth_m: depth + 4e-3,
+                    };
+                    let force = edge_resistance(&t, &shape, &blade, &mut near).newtons;
+                    assert!(
+                        last.is_none_or(|last| (force - last).abs() < 0.12),
+                        "{last:?} {force}"
+                    );
+                    last = Some(force);
+                }
+            }
+        }
     }
 }

@@ -13,16 +13,18 @@
 use super::trilinear::invert;
 use super::{BladePoint, to_rest};
 use crate::cell::NO_CELL;
-use crate::{Shape, Topology, Vec3};
+use crate::{FaceId, Shape, Topology, Vec3};
 
 /// Length of a piece of the edge in which the tissue may change once, in spacings: half of the thinnest layer.
 const PIECE: f64 = 0.5;
 /// Most pieces; beyond them, those of a long edge are longer.
 const PIECES_MAX: f64 = 64.0;
-/// Halvings of a piece of the edge in which the tissue changes: to a hundredth of its length.
-const HALVINGS: usize = 7;
+/// Halvings of a piece of the edge in which the tissue changes: to a hundredth of it.
+const HALVINGS: usize = 6;
 /// Cells that a search expands without coming nearer to the point before it ends: all around a cell.
-const IN_VAIN_MAX: usize = 6;
+const IN_VAIN_MAX: usize = 24;
+/// The same once the nearest cell is at the outer surface and the point beyond it.
+const IN_VAIN_OUTSIDE_MAX: usize = 6;
 /// How far outside a cell a point may be by rounding, in cells.
 const ROUNDING: f64 = 1e-9;
 /// Greatest distance of a point in a wound from either side, in cells. A wider wound holds no edge.
@@ -130,7 +132,18 @@ impl Search<'_> {
         self.seen.push(from);
         self.open.push(best);
         let mut in_vain = 0;
-        while in_vain <= IN_VAIN_MAX && best.outside > ROUNDING {
+        while best.outside > ROUNDING {
+            let is_outside = best
+                .beyond()
+                .any(|face| self.neighbours(best.cell)[face] == NO_CELL);
+            let limit = if is_outside {
+                IN_VAIN_OUTSIDE_MAX
+            } else {
+                IN_VAIN_MAX
+            };
+            if in_vain > limit {
+                break;
+            }
             let nearest = (0..self.open.len())
                 .min_by(|&a, &b| self.open[a].outside.total_cmp(&self.open[b].outside));
             let Some(nearest) = nearest else { break };
@@ -147,14 +160,13 @@ impl Search<'_> {
                 }
             }
         }
-        let is_inside = best.outside <= ROUNDING;
-        // A point outside of its nearest cell is in a wound if the uncut tissue goes on there.
-        let goes_on = |axis: usize| {
-            let face = 2 * axis + usize::from(best.local[axis] > 0.5);
-            self.neighbours(best.cell)[face] != NO_CELL
+        // A point outside of its nearest cell is in a wound if a cut has opened that side of the cell.
+        let is_open = |face: usize| {
+            let across = self.topology.across(FaceId::new(best.cell, face));
+            across == NO_CELL && self.neighbours(best.cell)[face] != NO_CELL
         };
-        let mut beyond = (0..3).filter(|&axis| (best.local[axis] - 0.5).abs() > 0.5 + ROUNDING);
-        (is_inside || best.outside <= GAP_MAX && beyond.all(goes_on)).then_some(best.cell)
+        let is_inside = best.outside <= GAP_MAX && best.beyond().all(is_open);
+        is_inside.then_some(best.cell)
     }
 
     /// The neighbours of a cell in the uncut tissue.
@@ -186,6 +198,16 @@ struct Visit {
     outside: f64,
 }
 
+impl Visit {
+    /// The faces that the point is beyond.
+    fn beyond(&self) -> impl Iterator<Item = usize> + '_ {
+        let beyond = |axis: &usize| (self.local[*axis] - 0.5).abs() > 0.5 + ROUNDING;
+        (0..3)
+            .filter(beyond)
+            .map(|axis| 2 * axis + usize::from(self.local[axis] > 0.5))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
@@ -193,7 +215,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{CutStroke, Material, block, cut};
+    use crate::{CutStroke, Material, Model, block, cut};
 
     /// A block of 40 x 40 x 32 mm whose upper half is `tough`.
     fn layered(tough: f64) -> Topology {
@@ -279,6 +301,43 @@ mod tests {
             Vec3::new(f64::NAN, 0.0, 0.0),
         ] {
             assert_eq!(total(&topology, &shape, &beside(tip)), (0.0, 0.0));
+        }
+    }
+
+    /// Distorted cells, as at the interfaces of a real model, and a wound that ends at the blade.
+    #[test]
+    fn resistance_is_continuous_along_the_path_of_a_cut() {
+        let mut model = Model::clone(layered(1_000.0).model());
+        for (i, node) in model.nodes.iter_mut().enumerate() {
+            let t = i as f64;
+            *node += Vec3::new(t.sin(), (1.7 * t).cos(), (0.3 * t).sin()) * 0.9e-3;
+        }
+        let mut topology = Topology::new(Arc::new(model));
+        let point = |y: f64| BladePoint {
+            tip: Vec3::new(19.3e-3, y, 11.3e-3),
+            axis: Vec3::new(0.2, 0.1, 1.0).normalize(),
+            depth_m: 30e-3,
+        };
+        let mut near = None;
+        let mut last: Option<f64> = None;
+        for step in 0..260 {
+            let y = 6e-3 + 0.1e-3 * f64::from(step);
+            if step > 0 && step % 100 == 0 {
+                let points = (0..=step).map(|i| point(6e-3 + 0.1e-3 * f64::from(i)));
+                let stroke = CutStroke {
+                    points: points.collect(),
+                    width_m: 0.5e-3,
+                };
+                // The cut itself moves nodes onto the path of the blade.
+                last = None;
+                cut(&mut topology, &stroke).unwrap();
+            }
+            let shape = Shape::rest(&topology);
+            let force = edge_resistance(&topology, &shape, &point(y), &mut near).newtons;
+            if let Some(last) = last {
+                assert!((force - last).abs() < 0.3, "at {y}: {last} {force}");
+            }
+            last = Some(force);
         }
     }
 }
