@@ -12,8 +12,8 @@ use palpate_tissue::{BladePoint, Tissue, Vec3, edge_resistance};
 use super::contact_model::MODEL_RADIUS_M;
 use crate::tools::ToolAt;
 
-/// How far the edge pushes tissue before it parts, m: a cut of 2 N then pulls with 1 N/mm, which every device renders.
-const YIELD_M: f64 = 2e-3;
+/// How far the edge pushes tissue before it parts, m. A shorter way makes a stiffer tie, which devices limit.
+const YIELD_M: f64 = 1e-3;
 
 /// The resistance against the edge of the own blade.
 #[derive(Debug, Default)]
