@@ -5,14 +5,14 @@ use std::sync::Arc;
 
 use palpate_device::Sample;
 use palpate_haptics::ContactModel;
-use palpate_protocol::operation::{Operation, OperationKind};
-use palpate_protocol::request::{CutRequest, RequestRefusal};
+use palpate_protocol::operation::{BladePoint, CutStroke, Operation, OperationKind};
+use palpate_protocol::request::{CutRequest, RequestRefusal, TimedBladePoint};
 use palpate_protocol::{
     ClientTime, OperationId, ParticipantId, RequestId, ServerTime, TopologyHash,
 };
 use palpate_room::{Authority, CutJob, CutOrder, Cutter, LoggedCut, RequestedChange, TissueReport};
 use palpate_site::{Replica, ToolAt, hand_budget, tissue_stroke};
-use palpate_tissue::{Budget, CutHistory, Model, Topology};
+use palpate_tissue::{Budget, CutHistory, Model, Topology, Vec3, to_rest};
 
 use super::check::{self, Checks};
 use super::seat::Seat;
@@ -58,7 +58,7 @@ pub(super) struct TwoHands {
     checks: Checks,
     /// Cuts the hands' own strokes.
     cutter: Cutter,
-    /// Parts of the hands' own strokes.
+    /// Paths of the hands' own blades at rest: parts that were cut, and parts that parted nothing.
     own: Vec<TimedCut>,
     /// Cuts in place of the hands' own; `None` for their own.
     given: Option<GivenCuts>,
@@ -190,7 +190,12 @@ impl TwoHands {
             if request.is_last {
                 self.cuts_s.push(at_s);
             }
-            if let Some(logged) = self.cut_own(k, request)?
+            let path = self.path_at_rest(k, &request);
+            let logged = self.cut_own(k, request)?;
+            if logged.is_none() {
+                self.own.extend(path.map(|part| TimedCut { at_s, part }));
+            }
+            if let Some(logged) = logged
                 && let OperationKind::Cut(part) = &logged.change
             {
                 let part = part.clone();
@@ -248,6 +253,26 @@ impl TwoHands {
             let budget = hand_budget(&mut never);
             seat.contact = replica.haptic_step(now, Some(&seat.tool), &[other], budget);
         }
+    }
+
+    /// The path of a part of the stroke of a hand, as far as it is in or near the tissue. Another run may cut where this
+    /// part parts nothing.
+    fn path_at_rest(&self, hand: usize, request: &CutRequest) -> Option<CutStroke> {
+        let replica = &self.replicas[hand.min(self.replicas.len() - 1)];
+        let (topology, shape) = (replica.topology(), replica.haptic_shape()?);
+        let at_rest = |point: &TimedBladePoint| {
+            let tip = to_rest(topology, shape, Vec3::from(point.blade.tip_m))?.position;
+            Some(BladePoint {
+                tip_m: tip.into(),
+                ..point.blade
+            })
+        };
+        Some(CutStroke {
+            began: request.began,
+            joins: false,
+            points: request.points.iter().filter_map(at_rest).collect(),
+            width_m: request.width_m,
+        })
     }
 
     /// Cuts the own topology with a part of the stroke of a hand, as the room does; `None` if that parts nothing.
