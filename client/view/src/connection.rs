@@ -40,7 +40,7 @@ pub(crate) enum Heard {
     Gone,
 }
 
-/// What became of a frame that the next one replaces.
+/// Fate of a frame that the next one replaces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum FrameFate {
     Sent,

@@ -208,8 +208,8 @@ pub(crate) fn server(
     let mut uni_streams = 0;
     if page.is_some() {
         alpn.push(ALPN_PAGE.to_vec());
-        // Browsers reject a lower limit, and the kind of a connection is unknown before its handshake. What a program
-        // sends on such a stream stays unread within the connection's window.
+        // Browsers reject a lower limit, and the kind of a connection is unknown before its handshake. Bytes that a
+        // program sends on such a stream stay unread within the connection's window.
         uni_streams = BROWSER_UNI_STREAMS;
     }
     let mut tls = rustls::ServerConfig::builder_with_provider(provider())

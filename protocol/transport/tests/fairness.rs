@@ -165,7 +165,10 @@ async fn fair(bulk_first: bool) {
         if is_fair {
             break;
         }
-        assert!(attempt < ATTEMPTS, "the bulk flow keeps {bulk:.3}");
+        assert!(
+            attempt < ATTEMPTS,
+            "the bulk flow keeps {bulk:.3}, the sessions {first:.4} and {second:.4}"
+        );
     }
 }
 

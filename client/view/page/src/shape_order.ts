@@ -1,5 +1,5 @@
 // Order of shapes that arrive on streams of their own. A change needs the shape before it, and a shape the surface of its
-// topology. The host gives changes up that are late and sends a full shape, which begins anew.
+// topology. The host drops late changes and sends a full shape instead.
 import type { Shape } from "./messages.ts";
 
 /** Shapes that wait for an earlier one, 2 s of them. */

@@ -220,7 +220,7 @@ impl Solver {
         self.exchange_levels(&mut fine, &mut coarse);
     }
 
-    /// Continues on levels that were built anew.
+    /// Continues on newly built levels.
     fn replace_levels(&mut self, topology: &Topology, rebuilt: &mut Rebuilt) {
         let Rebuilt {
             hierarchy,

@@ -173,7 +173,7 @@ impl Hierarchy {
         change
     }
 
-    /// Makes the bricks of changed elements anew, under their former numbers as far as possible. Returns the bricks of
+    /// Rebuilds the bricks of changed elements, under their former numbers as far as possible. Returns the bricks of
     /// each element.
     fn remake_bricks(
         &self,

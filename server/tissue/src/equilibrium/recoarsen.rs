@@ -153,7 +153,7 @@ fn split(
     elements
 }
 
-/// Corners of the elements near these points, whose corners are merged anew, and the origin of each new point.
+/// Corners of the elements near these points, whose corners are merged again, and the origin of each new point.
 fn merge(
     cells: &impl Cells,
     count: usize,
