@@ -30,8 +30,8 @@ pub struct RestPoint {
     pub frame: Matrix3<f64>,
 }
 
-/// Maps a point in the world to the rest frame. Points up to 1.5 cells outside the surface are
-/// extrapolated from the nearest cell; `None` for points farther away.
+/// Maps a point in the world to the rest frame. A point up to 1.5 cells outside the surface moves like the nearest point of
+/// the nearest cell: a distorted cell would extrapolate by several millimetres. `None` for points farther away.
 pub fn to_rest(topology: &Topology, shape: &Shape, world: Vec3) -> Option<RestPoint> {
     if !world.iter().all(|v| v.is_finite()) {
         return None;
@@ -48,12 +48,13 @@ pub fn to_rest(topology: &Topology, shape: &Shape, world: Vec3) -> Option<RestPo
         let outside = out.amax().max(0.0).min(out.max().max(0.0));
         if best.is_none_or(|b| outside < b.outside) {
             let rest = nodes.map(|n| topology.rest(n));
-            let inverse = gradient(&deformed, &local).try_inverse()?;
+            let nearest = local.map(|v| v.clamp(0.0, 1.0));
+            let inverse = gradient(&deformed, &nearest).try_inverse()?;
             best = Some(RestPoint {
-                position: point(&rest, &local),
+                position: world - point(&deformed, &nearest) + point(&rest, &nearest),
                 cell,
                 outside,
-                frame: gradient(&rest, &local) * inverse,
+                frame: gradient(&rest, &nearest) * inverse,
             });
         } else {
             break;
