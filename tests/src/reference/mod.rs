@@ -21,7 +21,7 @@ use palpate_client::recording::Recording;
 use palpate_device::{DeviceFault, Script};
 use palpate_protocol::operation::CutStroke;
 use palpate_site::{Replica, ReplicaError};
-use palpate_tissue::{Model, TopologyHash as TissueHash, Vec3};
+use palpate_tissue::{Model, Shape, Topology, TopologyHash as TissueHash, Vec3, to_rest};
 use serde::{Deserialize, Serialize};
 
 use crate::force_error::ForcePoint;
@@ -64,7 +64,8 @@ pub struct Reference {
     pub cuts_s: Vec<f64>,
     /// The parts that were cut, in the rest frame.
     pub strokes: Vec<TimedCut>,
-    /// Largest distance of the parts of a session from the paths of the hands' own blades, m.
+    /// Largest distance of the blade's tip in the parts of a session from the paths of the hands' own blades, m, where it is
+    /// in the tissue.
     pub cut_apart_m: f64,
     pub topology_hash: TissueHash,
     pub quality: Quality,
@@ -143,8 +144,12 @@ pub fn replay(
     Ok(hands.into_reference())
 }
 
-/// Largest distance of the tips of parts from the paths of others, m.
-fn apart_m(parts: &[TimedCut], others: &[TimedCut]) -> f64 {
+/// Largest distance of the tips of parts from the paths of others, m. Tips in the air cut nothing and do not count: the
+/// nearest tissue that they follow to rest is on either side of a wound.
+fn apart_m(model: &Arc<Model>, parts: &[TimedCut], others: &[TimedCut]) -> f64 {
+    let uncut = Topology::new(Arc::clone(model));
+    let at_rest = Shape::rest(&uncut);
+    let is_inside = |tip: &Vec3| to_rest(&uncut, &at_rest, *tip).is_some_and(|p| p.outside < 1e-9);
     let path = |cut: &TimedCut| {
         cut.part
             .points
@@ -172,6 +177,7 @@ fn apart_m(parts: &[TimedCut], others: &[TimedCut]) -> f64 {
     parts
         .iter()
         .flat_map(path)
+        .filter(is_inside)
         .map(from_path)
         .fold(0.0, f64::max)
 }

@@ -142,7 +142,7 @@ impl TwoHands {
                 error_percent: self.checks.changed_percent(),
             },
             topology_hash: self.replicas[0].topology().hash(),
-            cut_apart_m: apart_m(&self.cut, &self.own),
+            cut_apart_m: apart_m(self.replicas[0].topology().model(), &self.cut, &self.own),
             cuts_s: self.cuts_s,
             strokes: self.cut,
             forces: self.seats.map(|s| s.forces),
