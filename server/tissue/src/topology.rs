@@ -275,23 +275,24 @@ impl Topology {
         }
     }
 
-    /// Updates the hash after a change that touched these nodes.
-    pub(crate) fn rehash(&mut self, before: &Hashed, touched: &[u32]) {
+    /// Updates the hash after a change of these nodes and of some of these cells.
+    pub(crate) fn rehash(&mut self, before: &Hashed, nodes: &BTreeSet<u32>, cells: &[u32]) {
         let mut sum = self.hash.0;
-        let mut cells = BTreeSet::new();
-        for &node in touched {
+        for &node in nodes {
             let n = node as usize;
             if n < before.rest.len() {
                 sum = sum.wrapping_sub(hash_of_node(node, &before.rest[n]));
             }
             sum = sum.wrapping_add(hash_of_node(node, &self.rest[n]));
-            cells.extend(self.node_cells[n].into_iter().filter(|&c| c != NO_CELL));
         }
-        for cell in cells {
+        for &cell in cells {
             let c = cell as usize;
-            let old = hash_of_cell(cell, &before.corners[c], before.cut[c]);
-            let new = hash_of_cell(cell, &self.corners[c], self.cut[c]);
-            sum = sum.wrapping_sub(old).wrapping_add(new);
+            let [old, new] = [(&before.corners, &before.cut), (&self.corners, &self.cut)]
+                .map(|(corners, cut)| (corners[c], cut[c]));
+            if old != new {
+                let [old, new] = [old, new].map(|(corners, cut)| hash_of_cell(cell, &corners, cut));
+                sum = sum.wrapping_sub(old).wrapping_add(new);
+            }
         }
         self.hash = TopologyHash(sum);
     }
@@ -316,8 +317,13 @@ impl Topology {
                 pinned |= region.pinned;
             }
         }
-        self.mass[node as usize] = mass;
-        self.pinned[node as usize] = pinned;
+        // A write copies a shared page.
+        if self.mass[node as usize] != mass {
+            self.mass[node as usize] = mass;
+        }
+        if self.pinned[node as usize] != pinned {
+            self.pinned[node as usize] = pinned;
+        }
     }
 
     /// The springs of a node, from the cells around it, sorted by their far end.

@@ -113,6 +113,8 @@ pub struct CutOutcome {
     pub moved: Vec<Moved>,
     /// All nodes whose rest position, springs or mass may have changed, sorted; new ones included.
     pub touched: Vec<u32>,
+    /// Cells with a corner that moved or was doubled, sorted.
+    pub reshaped: Vec<u32>,
     /// Faces between cells that it opened; each added two faces to the boundary.
     pub faces_opened: usize,
     /// Nodes of the sheet that lie on the swept surface.
@@ -140,6 +142,7 @@ impl CutOutcome {
             doubled,
             moved: Vec::new(),
             touched: Vec::new(),
+            reshaped: Vec::new(),
             faces_opened: 0,
             nodes_snapped: 0,
             nodes_short: 0,
@@ -174,12 +177,12 @@ pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, Cu
     part::open(topology, &sheet, &doubled);
     changed.extend(width::widen(topology, stroke, &ribbon, &doubled));
     changed.extend(doubled.iter().flat_map(|d| [d.0, d.1]));
-    let touched = derive_around(topology, &changed);
-    topology.rehash(&before, &touched);
+    let around = derive_around(topology, &changed);
+    topology.rehash(&before, &changed, &around.cells);
     topology.version += 1;
 
-    let mut around: Vec<u32> = nodes.iter().map(|n| n.node).collect();
-    around.extend(doubled.iter().map(|d| d.0));
+    let mut at_sheet: Vec<u32> = nodes.iter().map(|n| n.node).collect();
+    at_sheet.extend(doubled.iter().map(|d| d.0));
     let loose = nodes.iter().filter(|n| n.freedom != Freedom::Pinned);
     let nodes_short = loose.clone().filter(|n| n.short).count();
     let sides = sheet.iter().flat_map(|&f| [f, topology.behind(f)]);
@@ -187,11 +190,12 @@ pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, Cu
     Ok(CutOutcome {
         version: topology.version,
         moved,
-        touched,
+        touched: around.nodes,
+        reshaped: around.cells,
         faces_opened: sheet.len(),
         nodes_snapped: loose.count() - nodes_short,
         nodes_short,
-        components_near: topology.components_among(&around),
+        components_near: topology.components_among(&at_sheet),
         regions_cut: regions.into_iter().collect(),
         doubled,
     })

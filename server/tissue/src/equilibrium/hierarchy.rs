@@ -55,11 +55,10 @@ impl Level {
         self.bound.len()
     }
 
-    /// The points of the next coarser level that a point follows.
-    pub(super) fn points_above(&self, point: u32) -> impl Iterator<Item = u32> + '_ {
+    /// The element of the next coarser level that a point follows.
+    pub(super) fn element_above(&self, point: u32) -> Option<u32> {
         let has_parents = !self.parent.is_empty();
-        let row = has_parents.then(|| self.prolongation.row(point as usize));
-        row.into_iter().flatten().map(|(point, _)| point)
+        has_parents.then(|| self.prolongation.element_of(point as usize))?
     }
 
     /// Diagonal bound of a point.
