@@ -13,8 +13,6 @@
 //!
 //! clamped between bounds, so that no spring ever pushes.
 
-use nalgebra::{SMatrix, SVector};
-
 use crate::Vec3;
 use crate::cell::PAIRS;
 use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE};
@@ -42,6 +40,7 @@ pub(crate) const fn share(a: usize, b: usize) -> f64 {
 
 /// Shares of the springs of a cell with these corners. A spring shorter than `floor` counts as that
 /// long when its stiffness is computed, so it carries less than its share.
+#[inline(always)]
 pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
     let plain = PAIRS.map(|[a, b]| share(a, b));
     if is_cube(corners) {
@@ -63,18 +62,16 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
         add_square(&mut normal, column, share);
     }
     for _ in 0..ROUNDS {
-        let Some(solved) = regular(&normal).cholesky() else {
+        let Some(factor) = factor(&normal) else {
             break;
         };
-        let missing = missing(&columns, &shares);
-        let force = solved.solve(&SVector::from_row_slice(&missing[..COMPONENTS]));
+        let force = solve(&factor, missing(&columns, &shares));
         let mut bounded = false;
         for s in 0..SPRINGS {
             if !free[s] {
                 continue;
             }
-            let along = columns[s].iter().zip(force.iter()).map(|(c, f)| c * f);
-            shares[s] += plain[s] * along.sum::<f64>();
+            shares[s] += plain[s] * dot(&columns[s], &force);
             let [low, high] = BOUNDS.map(|b| b * plain[s]);
             if !(low..=high).contains(&shares[s]) {
                 shares[s] = shares[s].clamp(low, high);
@@ -88,7 +85,10 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
         }
     }
     // Clamping can turn a good solution into a bad one, in cells that are nearly flat.
-    let off = |shares| missing(&columns, shares).iter().map(|v| v * v).sum::<f64>();
+    let off = |shares| {
+        let missing = missing(&columns, shares);
+        dot(&missing, &missing)
+    };
     if off(&shares) < off(&plain) {
         shares
     } else {
@@ -96,6 +96,7 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
     }
 }
 
+#[inline(always)]
 fn is_cube(corners: &[Vec3; 8]) -> bool {
     let side = (corners[1] - corners[0]).norm();
     (0..8).all(|c| {
@@ -112,6 +113,7 @@ const ROW: usize = 16;
 type Row = [f64; ROW];
 
 /// The components of n n n n.
+#[inline(always)]
 fn powers(n: &Vec3) -> Row {
     let [x, y, z] = [n.x, n.y, n.z];
     let (xx, yy, zz) = (x * x, y * y, z * z);
@@ -148,6 +150,7 @@ const ISOTROPIC: Row = {
 };
 
 /// Isotropic tensor minus the tensor of these shares.
+#[inline(always)]
 fn missing(columns: &[Row; SPRINGS], shares: &[f64; SPRINGS]) -> Row {
     let mut sum = ISOTROPIC;
     for (column, share) in columns.iter().zip(shares) {
@@ -159,6 +162,7 @@ fn missing(columns: &[Row; SPRINGS], shares: &[f64; SPRINGS]) -> Row {
 }
 
 /// `to += weight c cᵀ`.
+#[inline(always)]
 fn add_square(to: &mut [Row; ROW], c: &Row, weight: f64) {
     for (row, v) in to.iter_mut().zip(c) {
         let v = weight * v;
@@ -168,10 +172,63 @@ fn add_square(to: &mut [Row; ROW], c: &Row, weight: f64) {
     }
 }
 
-fn regular(normal: &[Row; ROW]) -> SMatrix<f64, COMPONENTS, COMPONENTS> {
+/// Sum of the products, in an order that suits vectors of any width.
+#[inline(always)]
+fn dot(a: &Row, b: &Row) -> f64 {
+    let mut sum = [0.0; ROW];
+    for i in 0..ROW {
+        sum[i] = a[i] * b[i];
+    }
+    let mut half = ROW / 2;
+    while half > 0 {
+        for i in 0..half {
+            sum[i] += sum[i + half];
+        }
+        half /= 2;
+    }
+    sum[0]
+}
+
+/// Cholesky factor U of the regularised matrix Uᵀ U; `None` if that is not positive definite.
+#[inline(always)]
+fn factor(normal: &[Row; ROW]) -> Option<[Row; COMPONENTS]> {
     let trace: f64 = (0..COMPONENTS).map(|i| normal[i][i]).sum();
-    let at = |i: usize, j: usize| normal[i][j] + if i == j { REGULAR * trace } else { 0.0 };
-    SMatrix::from_fn(at)
+    let mut u: [Row; COMPONENTS] = std::array::from_fn(|i| normal[i]);
+    for i in 0..COMPONENTS {
+        u[i][i] += REGULAR * trace;
+    }
+    for i in 0..COMPONENTS {
+        let root = u[i][i].sqrt();
+        // Written so that a NaN fails.
+        if !(root > 0.0) {
+            return None;
+        }
+        u[i] = u[i].map(|v| v / root);
+        for j in i + 1..COMPONENTS {
+            let v = u[i][j];
+            for k in 0..ROW {
+                u[j][k] -= v * u[i][k];
+            }
+        }
+    }
+    Some(u)
+}
+
+/// Solves Uᵀ U x = b.
+#[inline(always)]
+fn solve(u: &[Row; COMPONENTS], mut b: Row) -> Row {
+    for i in 0..COMPONENTS {
+        let v = b[i] / u[i][i];
+        for k in i + 1..ROW {
+            b[k] -= v * u[i][k];
+        }
+        b[i] = v;
+    }
+    for i in (0..COMPONENTS).rev() {
+        let known: f64 = (i + 1..COMPONENTS).map(|k| u[i][k] * b[k]).sum();
+        b[i] = (b[i] - known) / u[i][i];
+    }
+    b
 }
 
 #[cfg(test)]

@@ -329,31 +329,12 @@ impl Topology {
     /// The springs of a node, from the cells around it, sorted by their far end.
     pub fn springs_of(&self, node: u32) -> Vec<Spring> {
         let mut sums: Vec<(u32, f64)> = Vec::with_capacity(32);
-        let from = self.rest(node);
-        let floor = LENGTH_FLOOR * self.model.spacing_m;
-        for (corner, &cell) in self.node_cells[node as usize].iter().enumerate() {
-            if cell == NO_CELL {
-                continue;
+        self.visit_springs(node, |to, stiffness| {
+            match sums.iter_mut().find(|s| s.0 == to) {
+                Some(sum) => sum.1 += stiffness,
+                None => sums.push((to, stiffness)),
             }
-            let elastic = self.elastic(cell);
-            let energy = elastic.spring_pa * self.cell_volume[cell as usize].max(0.0);
-            // 1, 2, 4 lead along an edge, 3, 5, 6 across a face, 7 through the body.
-            for step in [1_usize, 2, 4, 3, 5, 6, 7] {
-                let to = self.corners[cell as usize][corner ^ step];
-                let share = match step.count_ones() {
-                    1 => EDGE_SHARE,
-                    2 => DIAGONAL_SHARE,
-                    _ => BODY_SHARE,
-                };
-                let d = self.rest(to) - from;
-                let length = d.norm().max(floor);
-                let stiffness = share * energy * elastic.fibre_factor(&d) / (length * length);
-                match sums.iter_mut().find(|s| s.0 == to) {
-                    Some(sum) => sum.1 += stiffness,
-                    None => sums.push((to, stiffness)),
-                }
-            }
-        }
+        });
         sums.sort_unstable_by_key(|s| s.0);
         sums.into_iter()
             .map(|(to, stiffness)| Spring {
@@ -361,6 +342,39 @@ impl Topology {
                 stiffness: stiffness as f32,
             })
             .collect()
+    }
+
+    /// Sum of the stiffness of the springs of a node in N/m.
+    pub(crate) fn stiffness_around(&self, node: u32) -> f64 {
+        let mut sum = 0.0;
+        self.visit_springs(node, |_, stiffness| sum += stiffness);
+        sum
+    }
+
+    /// Visits the springs of each cell around a node: the far end and the stiffness in N/m.
+    fn visit_springs(&self, node: u32, mut visit: impl FnMut(u32, f64)) {
+        let from = self.rest(node);
+        let floor = (LENGTH_FLOOR * self.model.spacing_m).powi(2);
+        for (corner, &cell) in self.node_cells[node as usize].iter().enumerate() {
+            if cell == NO_CELL {
+                continue;
+            }
+            let elastic = self.elastic(cell);
+            let energy = elastic.spring_pa * self.cell_volume[cell as usize].max(0.0);
+            let corners = self.corners[cell as usize];
+            // 1, 2, 4 lead along an edge, 3, 5, 6 across a face, 7 through the body.
+            for step in [1_usize, 2, 4, 3, 5, 6, 7] {
+                let to = corners[corner ^ step];
+                let share = match step.count_ones() {
+                    1 => EDGE_SHARE,
+                    2 => DIAGONAL_SHARE,
+                    _ => BODY_SHARE,
+                };
+                let d = self.rest(to) - from;
+                let square = d.norm_squared().max(floor);
+                visit(to, share * energy * elastic.fibre_factor(&d) / square);
+            }
+        }
     }
 
     /// Collects the exposed faces of all cells into the boundary.

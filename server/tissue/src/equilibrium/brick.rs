@@ -49,6 +49,17 @@ pub(crate) const DIRECTIONS: usize = STEPS.len();
 /// Offset of each direction.
 pub(crate) const OFFSETS: [usize; DIRECTIONS] = [1, 3, 9, 4, 2, 10, 8, 12, 6, 13, 11, 7, 5];
 
+/// The direction with each offset.
+const DIRECTION_OF: [usize; 14] = {
+    let mut of = [0; 14];
+    let mut direction = 0;
+    while direction < DIRECTIONS {
+        of[OFFSETS[direction]] = direction;
+        direction += 1;
+    }
+    of
+};
+
 /// Entry of corner `c` of the cell at position `p` (0..8) of a brick.
 pub(crate) const CORNER: [[usize; 8]; 8] = corners();
 
@@ -176,6 +187,7 @@ impl Draft {
     }
 
     /// The brick; its form still needs a number.
+    #[inline(always)]
     pub(crate) fn finish(&self, topology: &Topology) -> (Brick, Form) {
         let mut nodes = self.nodes;
         let mut present = 0;
@@ -195,29 +207,34 @@ impl Draft {
         (brick, self.form(topology, &nodes))
     }
 
+    #[inline(always)]
     fn form(&self, topology: &Topology, nodes: &[u32; LOCALS]) -> Form {
         let spacing = topology.model().spacing_m;
-        let origin = topology.rest(nodes[0]);
+        let places = nodes.map(|node| topology.rest(node));
         // In spacings first, so that cubes at different places have the same bits.
         let mut rest = Aligned([[0.0; PADDED]; 3]);
-        for (i, &node) in nodes.iter().enumerate() {
-            let d = (topology.rest(node) - origin) / spacing;
+        for (i, place) in places.iter().enumerate() {
+            let d = (place - places[0]) / spacing;
             for a in 0..3 {
                 rest[a][i] = d[a] as f32 * spacing as f32;
             }
         }
-        let mut springs = [[0.0f64; LOCALS]; STEPS.len()];
+        let mut springs = [[0.0f64; LOCALS]; DIRECTIONS];
         let (mut bulk, mut per_volume) = ([0.0; LANES], [0.0; LANES]);
         let mut corner = [0.0; LANES];
+        let mut skewed = false;
         for (position, cell) in self.cells.iter().enumerate() {
             let Some(cell) = *cell else { continue };
             let elastic = topology.elastic(cell);
-            add_springs(topology, cell, position, elastic, &mut springs);
+            let corners = CORNER[position].map(|i| places[i]);
+            skewed |= self.curve.held && is_skewed(&corners);
+            let energy = elastic.spring_pa * topology.volume(cell).max(0.0);
+            add_springs(&corners, position, elastic, energy, spacing, &mut springs);
             if self.curve.held {
                 let modulus = f64::from(STRENGTH) / 8.0 * elastic.spring_pa;
                 corner[CORNER[position][0]] = modulus as f32;
             }
-            let det = rest_determinant(topology, cell);
+            let det = rest_determinant(&corners);
             if elastic.bulk_pa > 0.0 && det > 0.0 {
                 bulk[position] = (elastic.bulk_pa * topology.volume(cell)) as f32;
                 per_volume[position] = (1.0 / det) as f32;
@@ -253,7 +270,7 @@ impl Draft {
             per_volume,
             corner,
             cell_volume: spacing.powi(3) as f32,
-            skewed: self.curve.held && self.is_skewed(topology),
+            skewed,
             has_bulk: bulk.iter().any(|&b| b > 0.0),
             curve: self.curve,
         };
@@ -264,40 +281,34 @@ impl Draft {
     }
 }
 
-impl Draft {
-    /// Whether the volume of any corner at rest is less than [`SKEWED`] of its edges' product.
-    fn is_skewed(&self, topology: &Topology) -> bool {
-        self.cells.iter().flatten().any(|&cell| {
-            let p = topology.corners(cell).map(|n| topology.rest(n));
-            (0..8).any(|c| {
-                let [x, y, z] = [1, 2, 4].map(|step| p[c | step] - p[c & !step]);
-                let box_volume = x.norm() * y.norm() * z.norm();
-                x.dot(&y.cross(&z)) < SKEWED * box_volume
-            })
-        })
-    }
+/// Whether the volume of any corner of a cell is less than [`SKEWED`] of its edges' product.
+#[inline(always)]
+fn is_skewed(p: &[Vec3; 8]) -> bool {
+    (0..8).any(|c| {
+        let [x, y, z] = [1, 2, 4].map(|step| p[c | step] - p[c & !step]);
+        let box_volume = x.norm() * y.norm() * z.norm();
+        x.dot(&y.cross(&z)) < SKEWED * box_volume
+    })
 }
 
-/// Adds the springs of one cell to those of its brick; see `springs.rs` for the shares.
+/// Adds the springs of one cell to those of its brick; see `springs.rs` for the shares. `energy` is modulus times volume.
+#[inline(always)]
 fn add_springs(
-    topology: &Topology,
-    cell: u32,
+    corners: &[Vec3; 8],
     position: usize,
     elastic: &Elastic,
-    springs: &mut [[f64; LOCALS]; STEPS.len()],
+    energy: f64,
+    spacing: f64,
+    springs: &mut [[f64; LOCALS]; DIRECTIONS],
 ) {
-    let corners = topology.corners(cell);
-    let floor = LENGTH_FLOOR * topology.model().spacing_m;
-    let energy = elastic.spring_pa * topology.volume(cell).max(0.0);
-    let shares = fit::shares(&corners.map(|n| topology.rest(n)), floor);
+    let floor = LENGTH_FLOOR * spacing;
+    let shares = fit::shares(corners, floor);
     for (share, [a, b]) in shares.into_iter().zip(crate::cell::PAIRS) {
-        let d: Vec3 = topology.rest(corners[b]) - topology.rest(corners[a]);
-        let length = d.norm().max(floor);
-        let k = share * energy * elastic.fibre_factor(&d) / (length * length);
+        let d: Vec3 = corners[b] - corners[a];
+        let square = d.norm_squared().max(floor * floor);
         let (i, j) = (CORNER[position][a], CORNER[position][b]);
         let (i, offset) = (i.min(j), i.abs_diff(j));
-        let step = STEPS.iter().position(|s| s.0 == offset).unwrap_or(0);
-        springs[step][i] += k;
+        springs[DIRECTION_OF[offset]][i] += share * energy * elastic.fibre_factor(&d) / square;
     }
 }
 
@@ -316,8 +327,8 @@ pub(crate) fn mean_edges(corners: &[Vec3; 8]) -> [Vec3; 3] {
     })
 }
 
-fn rest_determinant(topology: &Topology, cell: u32) -> f64 {
-    let [a, b, c] = mean_edges(&topology.corners(cell).map(|n| topology.rest(n)));
+fn rest_determinant(corners: &[Vec3; 8]) -> f64 {
+    let [a, b, c] = mean_edges(corners);
     a.dot(&b.cross(&c))
 }
 

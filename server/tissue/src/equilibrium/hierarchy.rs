@@ -7,6 +7,7 @@
 
 use std::sync::Arc;
 
+use pulp::Arch;
 use rayon::prelude::*;
 
 use super::brick::{Brick, Draft, Form, LOCALS};
@@ -304,8 +305,12 @@ impl Made {
             .collect();
         let mut drafts = Vec::new();
         Draft::of(topology, &list, &mut drafts);
+        let arch = Arch::new();
         let finish = |draft: &Draft| {
-            let (brick, form) = draft.finish(topology);
+            let (brick, form) = arch.dispatch(
+                #[inline(always)]
+                || draft.finish(topology),
+            );
             let key = form.key();
             let form = Arc::new(form);
             Self { brick, form, key }

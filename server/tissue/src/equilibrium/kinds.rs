@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use pulp::Arch;
 use rayon::prelude::*;
 
-use super::brick::Form;
+use super::brick::{DIRECTIONS, Form, LOCALS, SPAN};
 use super::element::{Matrix, Sum};
+use super::lanes::LANES;
 
 /// Forms and matrices, numbered permanently: a cut only computes new ones.
 #[derive(Clone, Default)]
@@ -63,7 +65,7 @@ impl Kinds {
             self.levels.push(LevelKinds::default());
         }
         let (finer, coarser) = self.levels.split_at_mut(l);
-        let finer = finer.last();
+        let finer = finer.last().map(|level| &*level);
         let LevelKinds { matrices, known } = &mut coarser[0];
         let mut new: Vec<&Parts> = Vec::new();
         let from = matrices.len();
@@ -80,24 +82,14 @@ impl Kinds {
             })
             .collect();
         let forms = &self.forms;
+        let arch = Arch::new();
         let made: Vec<Arc<Matrix>> = new
             .par_iter()
             .map(|list| {
-                let mut sum = Sum::new();
-                for &(part, how) in *list {
-                    match finer {
-                        None => sum.add_brick(&forms[part as usize], how, per_spacing),
-                        Some(level) => {
-                            sum.add_child(&level.matrices[part as usize], how as usize);
-                        }
-                    }
-                }
-                let alike = list.iter().all(|part| part.0 == list[0].0)
-                    && match finer {
-                        None => forms[list[0].0 as usize].is_regular(per_spacing),
-                        Some(level) => level.matrices[list[0].0 as usize].even,
-                    };
-                Arc::new(sum.finish(alike))
+                arch.dispatch(
+                    #[inline(always)]
+                    || Arc::new(matrix_of(list, forms, finer, per_spacing)),
+                )
             })
             .collect();
         matrices.extend(made);
@@ -105,24 +97,43 @@ impl Kinds {
     }
 }
 
+/// The matrix of an element with these parts.
+#[inline(always)]
+fn matrix_of(
+    list: &Parts,
+    forms: &[Arc<Form>],
+    finer: Option<&LevelKinds>,
+    per_spacing: f32,
+) -> Matrix {
+    let mut sum = Sum::new();
+    for &(part, how) in list {
+        match finer {
+            None => sum.add_brick(&forms[part as usize], how, per_spacing),
+            Some(level) => sum.add_child(&level.matrices[part as usize], how as usize),
+        }
+    }
+    let alike = list.iter().all(|part| part.0 == list[0].0)
+        && match finer {
+            None => forms[list[0].0 as usize].is_regular(per_spacing),
+            Some(level) => level.matrices[list[0].0 as usize].even,
+        };
+    sum.finish(alike)
+}
+
+/// Size of the numbers that a key covers.
+const KEY_BYTES: usize = size_of::<f32>() * (3 * LOCALS + DIRECTIONS * SPAN + 3 * LANES + 3);
+
 impl Form {
     /// Equal keys mean equal forms.
     pub(super) fn key(&self) -> u128 {
-        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
-        let mut take = |values: &[f32]| {
-            for v in values {
-                hasher.update(&v.to_bits().to_le_bytes());
-            }
-        };
-        self.rest
-            .iter()
-            .for_each(|axis| take(&axis[..super::brick::LOCALS]));
-        self.stiffness.iter().for_each(|row| take(row));
-        take(&self.bulk);
-        take(&self.per_volume);
-        take(&[self.curve.stiffening]);
-        take(&self.curve.limits);
-        take(&self.corner);
-        hasher.digest128()
+        let arrays = self.rest.iter().map(|axis| &axis[..LOCALS]);
+        let arrays = arrays.chain(self.stiffness.iter().map(|row| &row[..]));
+        let curve = [self.curve.stiffening, self.curve.limits[0], self.curve.limits[1]];
+        let arrays = arrays.chain([&self.bulk[..], &self.per_volume, &curve, &self.corner]);
+        let mut bytes = Vec::with_capacity(KEY_BYTES);
+        for v in arrays.flatten() {
+            bytes.extend_from_slice(&v.to_bits().to_le_bytes());
+        }
+        xxhash_rust::xxh3::xxh3_128(&bytes)
     }
 }
