@@ -7,7 +7,7 @@
 
 use std::sync::Arc;
 
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::brick::{Brick, Draft, Form, LOCALS};
@@ -289,6 +289,21 @@ fn pieces_of(topology: &Topology) -> Vec<Piece> {
         .collect()
 }
 
+/// [`Draft::finish`] with the vectors of this machine.
+struct Finish<'a> {
+    draft: &'a Draft,
+    topology: &'a Topology,
+}
+
+impl WithSimd for Finish<'_> {
+    type Output = (Brick, Form);
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Self::Output {
+        self.draft.finish(self.topology)
+    }
+}
+
 /// A brick whose form has no number yet.
 pub(super) struct Made {
     pub(super) brick: Brick,
@@ -307,10 +322,7 @@ impl Made {
         Draft::of(topology, &list, &mut drafts);
         let arch = Arch::new();
         let finish = |draft: &Draft| {
-            let (brick, form) = arch.dispatch(
-                #[inline(always)]
-                || draft.finish(topology),
-            );
+            let (brick, form) = arch.dispatch(Finish { draft, topology });
             let key = form.key();
             let form = Arc::new(form);
             Self { brick, form, key }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::brick::{DIRECTIONS, Form, LOCALS, SPAN};
@@ -86,10 +86,12 @@ impl Kinds {
         let made: Vec<Arc<Matrix>> = new
             .par_iter()
             .map(|list| {
-                arch.dispatch(
-                    #[inline(always)]
-                    || Arc::new(matrix_of(list, forms, finer, per_spacing)),
-                )
+                Arc::new(arch.dispatch(MatrixOf {
+                    list,
+                    forms,
+                    finer,
+                    per_spacing,
+                }))
             })
             .collect();
         matrices.extend(made);
@@ -98,26 +100,33 @@ impl Kinds {
 }
 
 /// The matrix of an element with these parts.
-#[inline(always)]
-fn matrix_of(
-    list: &Parts,
-    forms: &[Arc<Form>],
-    finer: Option<&LevelKinds>,
+struct MatrixOf<'a> {
+    list: &'a Parts,
+    forms: &'a [Arc<Form>],
+    finer: Option<&'a LevelKinds>,
     per_spacing: f32,
-) -> Matrix {
-    let mut sum = Sum::new();
-    for &(part, how) in list {
-        match finer {
-            None => sum.add_brick(&forms[part as usize], how, per_spacing),
-            Some(level) => sum.add_child(&level.matrices[part as usize], how as usize),
+}
+
+impl WithSimd for MatrixOf<'_> {
+    type Output = Matrix;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Matrix {
+        let Self { list, forms, .. } = self;
+        let mut sum = Sum::new();
+        for &(part, how) in list {
+            match self.finer {
+                None => sum.add_brick(&forms[part as usize], how, self.per_spacing),
+                Some(level) => sum.add_child(&level.matrices[part as usize], how as usize),
+            }
         }
+        let alike = list.iter().all(|part| part.0 == list[0].0)
+            && match self.finer {
+                None => forms[list[0].0 as usize].is_regular(self.per_spacing),
+                Some(level) => level.matrices[list[0].0 as usize].even,
+            };
+        sum.finish(alike)
     }
-    let alike = list.iter().all(|part| part.0 == list[0].0)
-        && match finer {
-            None => forms[list[0].0 as usize].is_regular(per_spacing),
-            Some(level) => level.matrices[list[0].0 as usize].even,
-        };
-    sum.finish(alike)
 }
 
 /// Size of the numbers that a key covers.
