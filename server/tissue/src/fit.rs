@@ -13,8 +13,11 @@
 //!
 //! clamped between bounds, so that no spring ever pushes.
 
+use pulp::Simd;
+
 use crate::Vec3;
 use crate::cell::PAIRS;
+use crate::equilibrium::add_scaled;
 use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE};
 
 /// Springs of a cell: all pairs of its corners.
@@ -41,7 +44,7 @@ pub(crate) const fn share(a: usize, b: usize) -> f64 {
 /// Shares of the springs of a cell with these corners. A spring shorter than `floor` counts as that
 /// long when its stiffness is computed, so it carries less than its share.
 #[inline(always)]
-pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
+pub(crate) fn shares<S: Simd>(simd: S, corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
     let plain = PAIRS.map(|[a, b]| share(a, b));
     if is_cube(corners) {
         return plain;
@@ -57,15 +60,15 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
     }
     let mut shares = plain;
     let mut free = [true; SPRINGS];
-    let mut normal = [[0.0; ROW]; ROW];
+    let mut normal = [[0.0; ROW]; COMPONENTS];
     for (column, share) in columns.iter().zip(plain) {
-        add_square(&mut normal, column, share);
+        add_square(simd, &mut normal, column, share);
     }
     for _ in 0..ROUNDS {
-        let Some(factor) = factor(&normal) else {
+        let Some(factor) = factor(simd, &normal) else {
             break;
         };
-        let force = solve(&factor, missing(&columns, &shares));
+        let force = solve(simd, &factor, missing(simd, &columns, &shares));
         let mut bounded = false;
         for s in 0..SPRINGS {
             if !free[s] {
@@ -77,7 +80,7 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
                 shares[s] = shares[s].clamp(low, high);
                 free[s] = false;
                 bounded = true;
-                add_square(&mut normal, &columns[s], -plain[s]);
+                add_square(simd, &mut normal, &columns[s], -plain[s]);
             }
         }
         if !bounded {
@@ -86,7 +89,7 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
     }
     // Clamping can turn a good solution into a bad one, in cells that are nearly flat.
     let off = |shares| {
-        let missing = missing(&columns, shares);
+        let missing = missing(simd, &columns, shares);
         dot(&missing, &missing)
     };
     if off(&shares) < off(&plain) {
@@ -111,6 +114,7 @@ fn is_cube(corners: &[Vec3; 8]) -> bool {
 const COMPONENTS: usize = 15;
 const ROW: usize = 16;
 type Row = [f64; ROW];
+type Matrix = [Row; COMPONENTS];
 
 /// The components of n n n n.
 #[inline(always)]
@@ -151,24 +155,19 @@ const ISOTROPIC: Row = {
 
 /// Isotropic tensor minus the tensor of these shares.
 #[inline(always)]
-fn missing(columns: &[Row; SPRINGS], shares: &[f64; SPRINGS]) -> Row {
+fn missing<S: Simd>(simd: S, columns: &[Row; SPRINGS], shares: &[f64; SPRINGS]) -> Row {
     let mut sum = ISOTROPIC;
     for (column, share) in columns.iter().zip(shares) {
-        for (to, v) in sum.iter_mut().zip(column) {
-            *to -= share * v;
-        }
+        add_scaled(simd, &mut sum, -share, column);
     }
     sum
 }
 
 /// `to += weight c cᵀ`.
 #[inline(always)]
-fn add_square(to: &mut [Row; ROW], c: &Row, weight: f64) {
+fn add_square<S: Simd>(simd: S, to: &mut Matrix, c: &Row, weight: f64) {
     for (row, v) in to.iter_mut().zip(c) {
-        let v = weight * v;
-        for (to, c) in row.iter_mut().zip(c) {
-            *to += v * c;
-        }
+        add_scaled(simd, row, weight * v, c);
     }
 }
 
@@ -191,9 +190,9 @@ fn dot(a: &Row, b: &Row) -> f64 {
 
 /// Cholesky factor U of the regularised matrix Uᵀ U; `None` if that is not positive definite.
 #[inline(always)]
-fn factor(normal: &[Row; ROW]) -> Option<[Row; COMPONENTS]> {
+fn factor<S: Simd>(simd: S, normal: &Matrix) -> Option<Matrix> {
     let trace: f64 = (0..COMPONENTS).map(|i| normal[i][i]).sum();
-    let mut u: [Row; COMPONENTS] = std::array::from_fn(|i| normal[i]);
+    let mut u = *normal;
     for i in 0..COMPONENTS {
         u[i][i] += REGULAR * trace;
     }
@@ -203,12 +202,11 @@ fn factor(normal: &[Row; ROW]) -> Option<[Row; COMPONENTS]> {
         if !(root > 0.0) {
             return None;
         }
-        u[i] = u[i].map(|v| v / root);
-        for j in i + 1..COMPONENTS {
-            let v = u[i][j];
-            for k in 0..ROW {
-                u[j][k] -= v * u[i][k];
-            }
+        u[i][..i].fill(0.0);
+        let row = u[i].map(|v| v / root);
+        u[i] = row;
+        for (below, v) in u.iter_mut().zip(row).skip(i + 1) {
+            add_scaled(simd, below, -v, &row);
         }
     }
     Some(u)
@@ -216,17 +214,15 @@ fn factor(normal: &[Row; ROW]) -> Option<[Row; COMPONENTS]> {
 
 /// Solves Uᵀ U x = b.
 #[inline(always)]
-fn solve(u: &[Row; COMPONENTS], mut b: Row) -> Row {
-    for i in 0..COMPONENTS {
-        let v = b[i] / u[i][i];
-        for k in i + 1..ROW {
-            b[k] -= v * u[i][k];
-        }
+fn solve<S: Simd>(simd: S, u: &Matrix, mut b: Row) -> Row {
+    for (i, row) in u.iter().enumerate() {
+        let v = b[i] / row[i];
+        add_scaled(simd, &mut b, -v, row);
         b[i] = v;
     }
-    for i in (0..COMPONENTS).rev() {
-        let known: f64 = (i + 1..COMPONENTS).map(|k| u[i][k] * b[k]).sum();
-        b[i] = (b[i] - known) / u[i][i];
+    for (i, row) in u.iter().enumerate().rev() {
+        let v = std::mem::take(&mut b[i]);
+        b[i] = (v - dot(row, &b)) / row[i];
     }
     b
 }
@@ -239,7 +235,7 @@ mod tests {
     /// Distance of the tensor of these shares from the isotropic one.
     fn off(corners: &[Vec3; 8], shares: &[f64; SPRINGS]) -> f64 {
         let columns = PAIRS.map(|[a, b]| powers(&(corners[b] - corners[a]).normalize()));
-        missing(&columns, shares)
+        missing(pulp::Scalar::new(), &columns, shares)
             .iter()
             .map(|v| v * v)
             .sum::<f64>()
@@ -252,7 +248,7 @@ mod tests {
 
     #[test]
     fn cube_is_isotropic_with_its_own_shares() {
-        let shares = shares(&cube(), 0.5);
+        let shares = shares(pulp::Scalar::new(), &cube(), 0.5);
         assert_eq!(shares, PAIRS.map(|[a, b]| share(a, b)));
         assert!(off(&cube(), &shares) < 1e-12);
     }
@@ -264,7 +260,7 @@ mod tests {
         corners[2] += Vec3::new(-0.1, 0.1, 0.05);
         let off = |s| off(&corners, s);
         let plain = PAIRS.map(|[a, b]| share(a, b));
-        let fitted = shares(&corners, 0.1);
+        let fitted = shares(pulp::Scalar::new(), &corners, 0.1);
         assert!(
             off(&fitted) < 0.02 * off(&plain),
             "{} {}",
@@ -283,7 +279,7 @@ mod tests {
                 *corner += Vec3::new(moves[3 * c], moves[3 * c + 1], moves[3 * c + 2]);
             }
             let plain = PAIRS.map(|[a, b]| share(a, b));
-            let fitted = shares(&corners, 0.1);
+            let fitted = shares(pulp::Scalar::new(), &corners, 0.1);
             let off = |s| off(&corners, s);
             prop_assert!(off(&fitted) <= off(&plain) + 1e-9, "{} {}", off(&fitted), off(&plain));
             prop_assert!(fitted.iter().all(|s| *s > 0.0));

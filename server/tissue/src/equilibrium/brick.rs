@@ -9,11 +9,14 @@
 //! Where a cut has doubled nodes, two cells can disagree about the node at the same place. They then go to two bricks,
 //! so that only this module handles cuts. Cells with different spring curves go to different bricks too.
 
+use pulp::Simd;
+
 use super::corners::{SKEWED, STRENGTH};
 use super::kernel::Aligned;
 use super::lanes::LANES;
-use super::law::{Curve, Elastic};
+use super::law::Curve;
 use super::small_strain::DISPLACEMENT_MAX;
+use crate::cell::PAIRS;
 use crate::springs::LENGTH_FLOOR;
 use crate::{Topology, Vec3, fit};
 
@@ -188,7 +191,7 @@ impl Draft {
 
     /// The brick; its form still needs a number.
     #[inline(always)]
-    pub(crate) fn finish(&self, topology: &Topology) -> (Brick, Form) {
+    pub(crate) fn finish<S: Simd>(&self, simd: S, topology: &Topology) -> (Brick, Form) {
         let mut nodes = self.nodes;
         let mut present = 0;
         let some = nodes.iter().copied().find(|&n| n != ABSENT).unwrap_or(0);
@@ -204,11 +207,11 @@ impl Draft {
             present,
             form: 0,
         };
-        (brick, self.form(topology, &nodes))
+        (brick, self.form(simd, topology, &nodes))
     }
 
     #[inline(always)]
-    fn form(&self, topology: &Topology, nodes: &[u32; LOCALS]) -> Form {
+    fn form<S: Simd>(&self, simd: S, topology: &Topology, nodes: &[u32; LOCALS]) -> Form {
         let spacing = topology.model().spacing_m;
         let places = nodes.map(|node| topology.rest(node));
         // In spacings first, so that cubes at different places have the same bits.
@@ -229,7 +232,15 @@ impl Draft {
             let corners = CORNER[position].map(|i| places[i]);
             skewed |= self.curve.held && is_skewed(&corners);
             let energy = elastic.spring_pa * topology.volume(cell).max(0.0);
-            add_springs(&corners, position, elastic, energy, spacing, &mut springs);
+            let floor = LENGTH_FLOOR * spacing;
+            let shares = fit::shares(simd, &corners, floor);
+            for (share, [a, b]) in shares.into_iter().zip(PAIRS) {
+                let d: Vec3 = corners[b] - corners[a];
+                let square = d.norm_squared().max(floor * floor);
+                let k = share * energy * elastic.fibre_factor(&d) / square;
+                let (i, j) = (CORNER[position][a], CORNER[position][b]);
+                springs[DIRECTION_OF[i.abs_diff(j)]][i.min(j)] += k;
+            }
             if self.curve.held {
                 let modulus = f64::from(STRENGTH) / 8.0 * elastic.spring_pa;
                 corner[CORNER[position][0]] = modulus as f32;
@@ -247,16 +258,23 @@ impl Draft {
         let mut shortest = f32::INFINITY;
         let mut used = 0;
         for (d, row) in stiffness.iter_mut().enumerate() {
-            for (i, k) in springs[d].iter().enumerate().filter(|k| *k.1 > 0.0) {
-                row[i] = *k as f32;
-                used |= 1 << (4 * d + i / CHUNK);
-                let square: f32 = (0..3)
-                    .map(|a| rest[a][i + OFFSETS[d]] - rest[a][i])
-                    .map(|v| v * v)
-                    .sum();
-                rest_length[d][i] = square.sqrt().max(1e-10);
-                per_square[d][i] = 1.0 / (rest_length[d][i] * rest_length[d][i]);
-                shortest = shortest.min(rest_length[d][i]);
+            for (i, (to, k)) in row.iter_mut().zip(springs[d]).enumerate() {
+                *to = k as f32;
+                used |= u64::from(k > 0.0) << (4 * d + i / CHUNK);
+            }
+            let mut square = [0.0; SPAN];
+            for axis in rest.iter() {
+                for (i, square) in square.iter_mut().enumerate() {
+                    let way = axis[i + OFFSETS[d]] - axis[i];
+                    *square += way * way;
+                }
+            }
+            for (i, square) in square.into_iter().enumerate() {
+                let length = square.sqrt().max(1e-10);
+                let exists = row[i] > 0.0;
+                rest_length[d][i] = if exists { length } else { 1.0 };
+                per_square[d][i] = if exists { 1.0 / (length * length) } else { 0.0 };
+                shortest = shortest.min(if exists { length } else { f32::INFINITY });
             }
         }
         let mut form = Form {
@@ -286,30 +304,9 @@ impl Draft {
 fn is_skewed(p: &[Vec3; 8]) -> bool {
     (0..8).any(|c| {
         let [x, y, z] = [1, 2, 4].map(|step| p[c | step] - p[c & !step]);
-        let box_volume = x.norm() * y.norm() * z.norm();
-        x.dot(&y.cross(&z)) < SKEWED * box_volume
+        let square = x.norm_squared() * y.norm_squared() * z.norm_squared();
+        x.dot(&y.cross(&z)) < SKEWED * square.sqrt()
     })
-}
-
-/// Adds the springs of one cell to those of its brick; see `springs.rs` for the shares. `energy` is modulus times volume.
-#[inline(always)]
-fn add_springs(
-    corners: &[Vec3; 8],
-    position: usize,
-    elastic: &Elastic,
-    energy: f64,
-    spacing: f64,
-    springs: &mut [[f64; LOCALS]; DIRECTIONS],
-) {
-    let floor = LENGTH_FLOOR * spacing;
-    let shares = fit::shares(corners, floor);
-    for (share, [a, b]) in shares.into_iter().zip(crate::cell::PAIRS) {
-        let d: Vec3 = corners[b] - corners[a];
-        let square = d.norm_squared().max(floor * floor);
-        let (i, j) = (CORNER[position][a], CORNER[position][b]);
-        let (i, offset) = (i.min(j), i.abs_diff(j));
-        springs[DIRECTION_OF[offset]][i] += share * energy * elastic.fibre_factor(&d) / square;
-    }
 }
 
 /// Mean edges of a cell, as they enter the volume term: three vectors.

@@ -13,7 +13,10 @@
 //! with b = Σ w ∇J. Matrices are stored per element, not assembled in rows, so a cut changes no table of neighbours.
 //! Equal elements (the inside of every homogeneous region) share one matrix.
 
+use pulp::Simd;
+
 use super::brick::{CORNER, Form, LOCALS, OFFSETS};
+use super::lanes::add_scaled;
 use super::law::{Symmetric, sideways};
 use super::matrix::{Columns, SIZE, Short, Stiffness, at};
 
@@ -62,22 +65,30 @@ impl Sum {
 
     /// Adds the springs and volume terms of a brick; bit `i` of `fixed` marks entry `i` as fixed.
     #[inline(always)]
-    pub(crate) fn add_brick(&mut self, form: &Form, fixed: u32, per_spacing: f32) {
+    pub(crate) fn add_brick<S: Simd>(
+        &mut self,
+        simd: S,
+        form: &Form,
+        fixed: u32,
+        per_spacing: f32,
+    ) {
         for (direction, offset) in OFFSETS.into_iter().enumerate() {
             for (i, &k) in form.stiffness[direction][..LOCALS].iter().enumerate() {
                 if k > 0.0 {
-                    self.add_spring(form, [i, i + offset], f64::from(k), fixed, per_spacing);
+                    let k = f64::from(k);
+                    self.add_spring(simd, form, [i, i + offset], k, fixed, per_spacing);
                 }
             }
         }
         if form.has_bulk {
-            self.add_bulk(form, fixed);
+            self.add_bulk(simd, form, fixed);
         }
     }
 
     #[inline(always)]
-    fn add_spring(
+    fn add_spring<S: Simd>(
         &mut self,
+        simd: S,
         form: &Form,
         [i, j]: [usize; 2],
         k: f64,
@@ -108,10 +119,7 @@ impl Sum {
                 for q in 0..=p {
                     let w = d[p] * d[q];
                     if w != 0.0 {
-                        let to = &mut self.springs[pair + q];
-                        for n in 0..BLOCK {
-                            to[n] += w * block[n];
-                        }
+                        add_scaled(simd, &mut self.springs[pair + q], w, &block);
                     }
                 }
             }
@@ -139,7 +147,7 @@ impl Sum {
     }
 
     #[inline(always)]
-    fn add_bulk(&mut self, form: &Form, fixed: u32) {
+    fn add_bulk<S: Simd>(&mut self, simd: S, form: &Form, fixed: u32) {
         for cell in 0..8 {
             if form.bulk[cell] == 0.0 {
                 continue;
@@ -192,37 +200,28 @@ impl Sum {
             }
             let k = f64::from(form.bulk[cell]);
             for (i, row) in self.dense.iter_mut().enumerate() {
-                if b[i] != 0.0 {
-                    for (j, v) in row.iter_mut().enumerate() {
-                        *v += k * b[i] * b[j];
-                    }
-                }
+                add_scaled(simd, row, k * b[i], &b);
             }
         }
     }
 
     /// Adds the matrix of a finer element at octant `octant` of this one.
     #[inline(always)]
-    pub(crate) fn add_child(&mut self, child: &Matrix, octant: usize) {
+    pub(crate) fn add_child<S: Simd>(&mut self, simd: S, child: &Matrix, octant: usize) {
         let mut k = child.k.dense();
-        // The weights are products of weights per axis, so that PᵀK takes three passes; K is symmetric.
-        for _ in 0..2 {
-            for axis in 0..3 {
-                restrict(&mut k, axis, octant >> axis & 1 == 1);
-            }
-            k = std::array::from_fn(|i| std::array::from_fn(|j| k[j][i]));
-        }
+        // The weights are products of weights per axis, so that Pᵀ K takes three passes. K is symmetric.
+        restrict(simd, &mut k, octant);
+        let mut k = transposed(&k);
+        restrict(simd, &mut k, octant);
         for (to, row) in self.dense.iter_mut().zip(&k) {
-            for (to, v) in to.iter_mut().zip(row) {
-                *to += v;
-            }
+            add_scaled(simd, to, 1.0, row);
         }
     }
 
     /// The matrix and its bound. Homogeneous elements (`alike`) stay in single precision: these few matrices fit in the
     /// L1 cache.
     #[inline(always)]
-    pub(crate) fn finish(mut self, alike: bool) -> Matrix {
+    pub(crate) fn finish<S: Simd>(mut self, simd: S, alike: bool) -> Matrix {
         self.add_springs();
         self.tie_weak_corners();
         let k = &*self.dense;
@@ -235,7 +234,7 @@ impl Sum {
             let k = |a: usize, b: usize| k[at(c, a)][at(c, b)];
             [k(0, 0), k(1, 1), k(2, 2), k(0, 1), k(0, 2), k(1, 2)]
         });
-        let largest = largest(k, &blocks);
+        let largest = largest(simd, k, &blocks);
         Matrix {
             k: stiffness,
             bound: blocks.map(|b| b.map(|v| (v * largest) as f32)),
@@ -264,31 +263,41 @@ impl Sum {
     }
 }
 
-/// Applies the transposed interpolation along an axis to all columns: of a child on the lower or the upper half.
+/// `Pᵀ K`, with the interpolation from a parent to its child at an octant.
 #[inline(always)]
-fn restrict(k: &mut Dense, axis: usize, is_upper: bool) {
-    for low in (0..8).filter(|c| c >> axis & 1 == 0) {
-        for a in 0..3 {
-            let (low, high) = (at(low, a), at(low | 1 << axis, a));
-            let [x, y] = [k[low], k[high]];
-            for i in 0..SIZE {
+fn restrict<S: Simd>(simd: S, k: &mut Dense, octant: usize) {
+    for axis in 0..3 {
+        for low in (0..8).filter(|c| c >> axis & 1 == 0) {
+            for a in 0..3 {
+                let (mut end, mut middle) = (at(low, a), at(low | 1 << axis, a));
+                if octant >> axis & 1 == 1 {
+                    std::mem::swap(&mut end, &mut middle);
+                }
                 // The middle of the axis belongs to both ends by half.
-                let [whole, half] = if is_upper {
-                    [y[i], 0.5 * x[i]]
-                } else {
-                    [x[i], 0.5 * y[i]]
-                };
-                let [own, other] = if is_upper { [high, low] } else { [low, high] };
-                k[own][i] = whole + half;
-                k[other][i] = half;
+                let mut half = [0.0; SIZE];
+                add_scaled(simd, &mut half, 0.5, &k[middle]);
+                add_scaled(simd, &mut k[end], 1.0, &half);
+                k[middle] = half;
             }
         }
     }
 }
 
+/// Not inlined: vector gathers are slower than these copies.
+#[inline(never)]
+fn transposed(k: &Dense) -> Dense {
+    let mut to = [[0.0; SIZE]; SIZE];
+    for (i, row) in to.iter_mut().enumerate() {
+        for (v, column) in row.iter_mut().zip(k) {
+            *v = column[i];
+        }
+    }
+    to
+}
+
 /// Largest eigenvalue of an element scaled by the inverse of its diagonal blocks.
 #[inline(always)]
-fn largest(k: &Dense, blocks: &[Symmetric; 8]) -> f64 {
+fn largest<S: Simd>(simd: S, k: &Dense, blocks: &[Symmetric; 8]) -> f64 {
     let inverse = blocks.map(|b| {
         if b[0] + b[1] + b[2] > 0.0 {
             super::law::invert(&b)
@@ -302,9 +311,7 @@ fn largest(k: &Dense, blocks: &[Symmetric; 8]) -> f64 {
     for _ in 0..POWER {
         let mut y = [0.0; SIZE];
         for (column, x) in k.iter().zip(x) {
-            for (y, k) in y.iter_mut().zip(column) {
-                *y += k * x;
-            }
+            add_scaled(simd, &mut y, x, column);
         }
         let mut z = [0.0; SIZE];
         for c in 0..8 {

@@ -299,8 +299,8 @@ impl WithSimd for Finish<'_> {
     type Output = (Brick, Form);
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Self::Output {
-        self.draft.finish(self.topology)
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        self.draft.finish(simd, self.topology)
     }
 }
 

@@ -111,13 +111,13 @@ impl WithSimd for MatrixOf<'_> {
     type Output = Matrix;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Matrix {
+    fn with_simd<S: Simd>(self, simd: S) -> Matrix {
         let Self { list, forms, .. } = self;
         let mut sum = Sum::new();
         for &(part, how) in list {
             match self.finer {
-                None => sum.add_brick(&forms[part as usize], how, self.per_spacing),
-                Some(level) => sum.add_child(&level.matrices[part as usize], how as usize),
+                None => sum.add_brick(simd, &forms[part as usize], how, self.per_spacing),
+                Some(level) => sum.add_child(simd, &level.matrices[part as usize], how as usize),
             }
         }
         let alike = list.iter().all(|part| part.0 == list[0].0)
@@ -125,7 +125,7 @@ impl WithSimd for MatrixOf<'_> {
                 None => forms[list[0].0 as usize].is_regular(self.per_spacing),
                 Some(level) => level.matrices[list[0].0 as usize].even,
             };
-        sum.finish(alike)
+        sum.finish(simd, alike)
     }
 }
 

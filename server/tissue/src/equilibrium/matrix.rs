@@ -149,8 +149,10 @@ impl Short {
         }
         let scale = largest / LARGEST;
         let per_scale = 1.0 / scale;
-        let rounded: [[i16; SIZE]; SIZE] =
-            std::array::from_fn(|j| k[j].map(|v| (v * per_scale).round() as i16));
+        let mut rounded = [[0i16; SIZE]; SIZE];
+        for (to, from) in rounded.as_flattened_mut().iter_mut().zip(k.as_flattened()) {
+            *to = (from * per_scale).round() as i16;
+        }
         let mut columns = [[0i16; ROWS]; SIZE];
         for (column, from) in columns.iter_mut().zip(&rounded) {
             for c in 0..8 {
