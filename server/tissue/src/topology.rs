@@ -6,7 +6,7 @@
 //! derived when asked for.
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
@@ -101,6 +101,13 @@ impl Boundary {
     }
 }
 
+/// The outer surface in pages: the exposed faces in the order of the [`Boundary`], and the two triangles of each.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Exposed {
+    pub(crate) faces: Pages<FaceId>,
+    pub(crate) triangles: Pages<[[u32; 3]; 2]>,
+}
+
 /// The mutable wiring of a [`Model`]. Copies share all that has not changed since.
 #[derive(Debug, Clone)]
 pub struct Topology {
@@ -120,7 +127,9 @@ pub struct Topology {
     built_volume: Arc<Vec<f64>>,
     pub(crate) mass: Pages<f64>,
     pub(crate) pinned: Pages<bool>,
-    boundary: Arc<Boundary>,
+    pub(crate) exposed: Exposed,
+    /// Made of them when first asked for.
+    boundary: OnceLock<Arc<Boundary>>,
     pub(crate) cut_index: crate::cut::CutIndex,
 }
 
@@ -158,8 +167,9 @@ impl Topology {
             cell_volume: cell_volume.into(),
             mass: vec![0.0; nodes].into(),
             pinned: vec![false; nodes].into(),
-            boundary: Arc::default(),
-            cut_index: crate::cut::CutIndex::default(),
+            exposed: Exposed::default(),
+            boundary: OnceLock::new(),
+            cut_index: crate::cut::CutIndex::new(model.cells.len()),
             model,
         };
         for node in 0..nodes as u32 {
@@ -234,14 +244,26 @@ impl Topology {
         self.pinned[node as usize]
     }
 
-    /// The outer surface, cut faces included.
+    /// The outer surface, cut faces included. The first call after a change copies all of it.
     pub fn boundary(&self) -> &Boundary {
-        &self.boundary
+        self.boundary.get_or_init(|| {
+            Arc::new(Boundary {
+                faces: self.exposed.faces.iter().copied().collect(),
+                triangles: self.exposed.triangles.iter().flatten().copied().collect(),
+            })
+        })
     }
 
     /// The outer surface, for a change.
-    pub(crate) fn boundary_mut(&mut self) -> &mut Boundary {
-        Arc::make_mut(&mut self.boundary)
+    pub(crate) fn exposed_mut(&mut self) -> &mut Exposed {
+        self.boundary = OnceLock::new();
+        &mut self.exposed
+    }
+
+    /// The nodes of a triangle of the outer surface.
+    #[inline]
+    pub(crate) fn triangle(&self, triangle: u32) -> [u32; 3] {
+        self.exposed.triangles[triangle as usize / 2][triangle as usize % 2]
     }
 
     /// Rest volume of a cell in m³.
@@ -390,7 +412,11 @@ impl Topology {
             }
         }
         crate::cut_model::part_diagonals(&mut boundary);
-        self.boundary = Arc::new(boundary);
+        let pairs = boundary.triangles.chunks_exact(2);
+        self.exposed = Exposed {
+            triangles: pairs.map(|t| [t[0], t[1]]).collect::<Vec<_>>().into(),
+            faces: boundary.faces.into(),
+        };
     }
 
     /// Splits a face along its shorter diagonal at rest.

@@ -3,11 +3,12 @@
 //! Cells are stored by the bucket of their centre in the model as built. Cuts move nodes by less than
 //! [`super::DRIFT_MAX`] spacings in total, so the buckets never change; searches are widened by that bound.
 
-use std::collections::BTreeMap;
+use std::cmp::Ordering;
 use std::sync::{Arc, OnceLock};
 
 use super::ribbon::Ribbon;
 use crate::cell::NO_CELL;
+use crate::pages::Pages;
 use crate::{FaceId, Model, Topology, Vec3};
 
 /// Side of a bucket in spacings: 64 cells in each.
@@ -27,7 +28,8 @@ impl Key {
         let [x, y, z] = [0, 1, 2].map(|a| self.0[a]..=high.0[a]);
         x.flat_map(move |x| {
             let z = z.clone();
-            y.clone().flat_map(move |y| z.clone().map(move |z| Self([x, y, z])))
+            y.clone()
+                .flat_map(move |y| z.clone().map(move |z| Self([x, y, z])))
         })
     }
 
@@ -71,7 +73,9 @@ impl CellIndex {
 
     fn bucket(&self, key: Key) -> impl Iterator<Item = &Entry> {
         let start = self.entries.partition_point(|e| e.key < key);
-        self.entries[start..].iter().take_while(move |e| e.key == key)
+        self.entries[start..]
+            .iter()
+            .take_while(move |e| e.key == key)
     }
 
     /// The cells whose centre, as built, may be nearer to a surface than a distance; all that are.
@@ -113,11 +117,34 @@ pub(crate) fn centre(corners: &[Vec3; 8]) -> Vec3 {
 }
 
 /// Derived data that make cuts cheap; not part of the state.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(crate) struct CutIndex {
     cells: OnceLock<Arc<CellIndex>>,
-    /// Position in the boundary of each face laid open by a cut.
-    pub(crate) opened: BTreeMap<FaceId, u32>,
+    /// Position in the boundary of each face of a cell laid open by a cut, or [`CLOSED`].
+    positions: Pages<[u32; 6]>,
+    /// Number of faces laid open by cuts.
+    pub(crate) opened: usize,
+}
+
+const CLOSED: u32 = u32::MAX;
+
+impl CutIndex {
+    /// No cuts.
+    pub(crate) fn new(cells: usize) -> Self {
+        Self {
+            cells: OnceLock::new(),
+            positions: Pages::filled([CLOSED; 6], cells),
+            opened: 0,
+        }
+    }
+
+    /// Adds a face laid open by a cut. Returns whether it is new.
+    pub(crate) fn open(&mut self, face: FaceId, position: u32) -> bool {
+        let known = &mut self.positions[face.cell() as usize][face.face()];
+        let is_new = std::mem::replace(known, position) == CLOSED;
+        self.opened += usize::from(is_new);
+        is_new
+    }
 }
 
 impl Topology {
@@ -138,12 +165,22 @@ impl Topology {
     }
 
     pub(crate) fn boundary_position(&self, face: FaceId) -> Option<usize> {
-        if let Some(&position) = self.cut_index.opened.get(&face) {
+        let position = self.cut_index.positions[face.cell() as usize][face.face()];
+        if position != CLOSED {
             return Some(position as usize);
         }
         // Those of the model as built are in order.
-        let built = self.boundary().faces.len() - self.cut_index.opened.len();
-        self.boundary().faces[..built].binary_search(&face).ok()
+        let faces = &self.exposed.faces;
+        let (mut low, mut high) = (0, faces.len() - self.cut_index.opened);
+        while low < high {
+            let middle = low.midpoint(high);
+            match faces[middle].cmp(&face) {
+                Ordering::Less => low = middle + 1,
+                Ordering::Equal => return Some(middle),
+                Ordering::Greater => high = middle,
+            }
+        }
+        None
     }
 
     /// Centre of a cell at rest.

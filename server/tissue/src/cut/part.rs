@@ -48,11 +48,9 @@ pub(crate) fn open(topology: &mut Topology, sheet: &[FaceId], doubled: &[(u32, u
             for axis in 0..3 {
                 let face = FaceId::new(cell, 2 * axis + (slot >> axis & 1));
                 if let Some(position) = topology.boundary_position(face) {
-                    let pair = 2 * position..2 * position + 2;
-                    let [first, second] =
-                        [0, 1].map(|i| topology.boundary().triangles[pair.start + i]);
+                    let [first, second] = topology.exposed.triangles[position];
                     let triangles = topology.split(face, first[0] == second[0]);
-                    topology.boundary_mut().triangles[pair].copy_from_slice(&triangles);
+                    topology.exposed_mut().triangles[position] = triangles;
                 }
             }
         }
@@ -62,11 +60,11 @@ pub(crate) fn open(topology: &mut Topology, sheet: &[FaceId], doubled: &[(u32, u
         let along = topology.parted_diagonal(face);
         for (side, along) in [(face, along), (behind, topology.mirrored(face, along))] {
             topology.cut[side.cell() as usize] |= 1 << side.face();
-            let position = topology.boundary().faces.len() as u32;
+            let position = topology.exposed.faces.len() as u32;
             let triangles = topology.split(side, along);
-            topology.boundary_mut().faces.push(side);
-            topology.boundary_mut().triangles.extend(triangles);
-            topology.cut_index.opened.insert(side, position);
+            topology.exposed_mut().faces.push(side);
+            topology.exposed_mut().triangles.push(triangles);
+            topology.cut_index.open(side, position);
         }
     }
 }

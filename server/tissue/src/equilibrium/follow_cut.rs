@@ -42,7 +42,7 @@ impl Solver {
             fine.displaced = fine.displaced.max(shape.displacement[node as usize].norm());
         }
         self.contact_smoother.grow(&self.hierarchy);
-        self.contacts.follow(topology, outcome);
+        self.contacts.follow(topology, &change.surface);
         self.report.steady = false;
         self.dirty = true;
     }
@@ -260,7 +260,9 @@ impl CoarseLevel {
 fn points_of(level: &Level, mut elements: Vec<u32>) -> Vec<u32> {
     elements.sort_unstable();
     elements.dedup();
-    let known = elements.iter().filter_map(|&e| level.corners.get(e as usize));
+    let known = elements
+        .iter()
+        .filter_map(|&e| level.corners.get(e as usize));
     let mut points: Vec<u32> = known.flatten().copied().collect();
     points.sort_unstable();
     points.dedup();

@@ -4,8 +4,8 @@
 //! applies it to another. Its price depends on the new faces and not on the size of the model. Numbers of nodes, bricks,
 //! elements and points stay, new ones are appended.
 
-use std::collections::btree_map::Entry;
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -23,6 +23,7 @@ use super::prolongation::{FREE, set};
 use super::recoarsen::{Cells, Changed, Recoarsened, recoarsen};
 use crate::Topology;
 use crate::cell::NO_CELL;
+use crate::contact::SurfaceChange;
 use crate::cut::CutOutcome;
 
 /// The change of one coarse level.
@@ -73,6 +74,7 @@ pub(crate) struct HierarchyChange {
     /// Mean stiffness of nodes at rest, in N/m.
     pub(super) own: Vec<(u32, f64)>,
     pub(super) levels: Vec<LevelChange>,
+    pub(super) surface: SurfaceChange,
 }
 
 /// The cells of a topology.
@@ -142,6 +144,7 @@ impl Hierarchy {
         let own = |&node: &u32| (node, own_stiffness(topology, node));
         let mut change = HierarchyChange {
             own: outcome.touched.par_iter().map(own).collect(),
+            surface: SurfaceChange::of(topology, outcome),
             ..HierarchyChange::default()
         };
         let reshaped = outcome.reshaped.iter();
@@ -154,7 +157,12 @@ impl Hierarchy {
         };
         let parts: Vec<(u32, Parts)> = children
             .iter()
-            .map(|(e, list)| (*e, parts_over_bricks(topology, list.iter().filter_map(brick))))
+            .map(|(e, list)| {
+                (
+                    *e,
+                    parts_over_bricks(topology, list.iter().filter_map(brick)),
+                )
+            })
             .collect();
         let place = |cell: u32| place(place_of(topology, cell));
         let mut first = self.level_change(construction, 0, coarse, &parts, place);
@@ -240,8 +248,11 @@ impl Hierarchy {
             former(*id).is_none_or(|b| b.present != now.present || b.nodes != now.nodes)
         };
         let rewired: Vec<_> = bricks.iter().filter(is_rewired).collect();
-        let is_kept =
-            |entry: &u32| rewired.binary_search_by_key(&(entry / 32), |b| b.0).is_err();
+        let is_kept = |entry: &u32| {
+            rewired
+                .binary_search_by_key(&(entry / 32), |b| b.0)
+                .is_err()
+        };
         let mut rows: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
         for &&(id, ref brick, _) in &rewired {
             for (node, entry) in entries_of(id, brick) {

@@ -137,7 +137,11 @@ impl Form {
     pub(super) fn key(&self) -> u128 {
         let arrays = self.rest.iter().map(|axis| &axis[..LOCALS]);
         let arrays = arrays.chain(self.stiffness.iter().map(|row| &row[..]));
-        let curve = [self.curve.stiffening, self.curve.limits[0], self.curve.limits[1]];
+        let curve = [
+            self.curve.stiffening,
+            self.curve.limits[0],
+            self.curve.limits[1],
+        ];
         let arrays = arrays.chain([&self.bulk[..], &self.per_volume, &curve, &self.corner]);
         let mut bytes = Vec::with_capacity(KEY_BYTES);
         for v in arrays.flatten() {

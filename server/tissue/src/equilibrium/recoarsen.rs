@@ -54,7 +54,9 @@ pub(super) fn recoarsen(
     changed: &Changed,
 ) -> Recoarsened {
     let elements = split(cells, (level, places, members), changed);
-    let corners = elements.iter().flat_map(|e| level.corners[e.origin as usize]);
+    let corners = elements
+        .iter()
+        .flat_map(|e| level.corners[e.origin as usize]);
     let points = sorted(corners.collect());
     let near = elements_near(&elements, (level, members), &points);
     let (corners, origins) = merge(cells, level.points(), &near);
@@ -179,7 +181,9 @@ fn elements_near<'a>(
             id,
             former,
             cells: change.map_or_else(|| members.row(id), |e| &e.cells),
-            slots: (0..8).filter(is_merged).fold(0, |bits, slot| bits | 1 << slot),
+            slots: (0..8)
+                .filter(is_merged)
+                .fold(0, |bits, slot| bits | 1 << slot),
         }
     };
     sorted(near).into_iter().map(element).collect()
