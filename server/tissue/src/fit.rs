@@ -203,7 +203,8 @@ fn factor<S: Simd>(simd: S, normal: &Matrix) -> Option<Matrix> {
             return None;
         }
         u[i][..i].fill(0.0);
-        let row = u[i].map(|v| v / root);
+        let per_root = 1.0 / root;
+        let row = u[i].map(|v| v * per_root);
         u[i] = row;
         for (below, v) in u.iter_mut().zip(row).skip(i + 1) {
             add_scaled(simd, below, -v, &row);

@@ -14,7 +14,7 @@ use pulp::Simd;
 use super::corners::{SKEWED, STRENGTH};
 use super::kernel::Aligned;
 use super::lanes::LANES;
-use super::law::Curve;
+use super::law::{Curve, Elastic};
 use super::small_strain::DISPLACEMENT_MAX;
 use crate::cell::PAIRS;
 use crate::springs::LENGTH_FLOOR;
@@ -232,12 +232,8 @@ impl Draft {
             let corners = CORNER[position].map(|i| places[i]);
             skewed |= self.curve.held && is_skewed(&corners);
             let energy = elastic.spring_pa * topology.volume(cell).max(0.0);
-            let floor = LENGTH_FLOOR * spacing;
-            let shares = fit::shares(simd, &corners, floor);
-            for (share, [a, b]) in shares.into_iter().zip(PAIRS) {
-                let d: Vec3 = corners[b] - corners[a];
-                let square = d.norm_squared().max(floor * floor);
-                let k = share * energy * elastic.fibre_factor(&d) / square;
+            let stiffness = spring_stiffness(simd, &corners, elastic, energy, spacing);
+            for (k, [a, b]) in stiffness.into_iter().zip(PAIRS) {
                 let (i, j) = (CORNER[position][a], CORNER[position][b]);
                 springs[DIRECTION_OF[i.abs_diff(j)]][i.min(j)] += k;
             }
@@ -255,7 +251,7 @@ impl Draft {
         // One where no spring exists: the numerator is zero there.
         let mut rest_length = Aligned([[1.0; SPAN]; DIRECTIONS]);
         let mut per_square = Aligned([[0.0; SPAN]; DIRECTIONS]);
-        let mut shortest = f32::INFINITY;
+        let mut shortest = [f32::INFINITY; SPAN];
         let mut used = 0;
         for (d, row) in stiffness.iter_mut().enumerate() {
             for (i, (to, k)) in row.iter_mut().zip(springs[d]).enumerate() {
@@ -269,14 +265,22 @@ impl Draft {
                     *square += way * way;
                 }
             }
-            for (i, square) in square.into_iter().enumerate() {
-                let length = square.sqrt().max(1e-10);
-                let exists = row[i] > 0.0;
-                rest_length[d][i] = if exists { length } else { 1.0 };
-                per_square[d][i] = if exists { 1.0 / (length * length) } else { 0.0 };
-                shortest = shortest.min(if exists { length } else { f32::INFINITY });
+            // Without branches, so that it is vectorised.
+            let (lengths, per_square) = (&mut rest_length[d], &mut per_square[d]);
+            for i in 0..SPAN {
+                let length = square[i].sqrt().max(1e-10);
+                let is_spring = row[i] > 0.0;
+                lengths[i] = if is_spring { length } else { 1.0 };
+                per_square[i] = if is_spring {
+                    1.0 / (length * length)
+                } else {
+                    0.0
+                };
+                let length = if is_spring { length } else { f32::INFINITY };
+                shortest[i] = shortest[i].min(length);
             }
         }
+        let shortest = shortest.into_iter().fold(f32::INFINITY, f32::min);
         let mut form = Form {
             rest,
             stiffness,
@@ -305,8 +309,33 @@ fn is_skewed(p: &[Vec3; 8]) -> bool {
     (0..8).any(|c| {
         let [x, y, z] = [1, 2, 4].map(|step| p[c | step] - p[c & !step]);
         let square = x.norm_squared() * y.norm_squared() * z.norm_squared();
-        x.dot(&y.cross(&z)) < SKEWED * square.sqrt()
+        let volume = x.dot(&y.cross(&z));
+        volume < 0.0 || volume * volume < SKEWED * SKEWED * square
     })
+}
+
+/// Stiffness of the springs of a cell in N/m; see `springs.rs` for the shares. `energy` is modulus times volume.
+#[inline(always)]
+fn spring_stiffness<S: Simd>(
+    simd: S,
+    corners: &[Vec3; 8],
+    elastic: &Elastic,
+    energy: f64,
+    spacing: f64,
+) -> [f64; PAIRS.len()] {
+    let floor = LENGTH_FLOOR * spacing;
+    let ways = PAIRS.map(|[a, b]| corners[b] - corners[a]);
+    let squares = ways.map(|way| way.norm_squared().max(floor * floor));
+    let mut stiffness = fit::shares(simd, corners, floor);
+    for (k, square) in stiffness.iter_mut().zip(squares) {
+        *k *= energy / square;
+    }
+    if elastic.has_fibres() {
+        for (k, way) in stiffness.iter_mut().zip(&ways) {
+            *k *= elastic.fibre_factor(way);
+        }
+    }
+    stiffness
 }
 
 /// Mean edges of a cell, as they enter the volume term: three vectors.

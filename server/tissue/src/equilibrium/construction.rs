@@ -61,7 +61,7 @@ impl Construction {
                 cells.collect::<BTreeSet<u32>>().into_iter().collect()
             })
             .collect();
-        let mut kinds = Kinds::of_forms(hierarchy.forms.clone());
+        let mut kinds = Kinds::of_bricks(&hierarchy.forms, &hierarchy.bricks);
         let mut at: Vec<[i32; 3]> = cells
             .iter()
             .map(|cells| place(place_of(topology, cells[0])))

@@ -157,6 +157,10 @@ impl FineLevel {
         self.block_sum.resize(bricks, [0.0; 6]);
         self.block_sum_at_rest.resize(hierarchy.forms.len(), None);
         self.blocks_at_rest.resize(hierarchy.forms.len(), None);
+        for (form, _) in &change.forms {
+            self.block_sum_at_rest[*form as usize] = None;
+            self.blocks_at_rest[*form as usize] = None;
+        }
         for list in [
             &mut self.nodes,
             &mut self.unbalanced,

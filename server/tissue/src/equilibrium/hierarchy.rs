@@ -206,7 +206,7 @@ impl Hierarchy {
                 })
             });
             let next = next.filter(|n| n.pieces.len() < now.pieces.len());
-            let matrix = kinds.matrices(l, &parts, self.per_spacing);
+            let (matrix, _) = kinds.matrices(l, &parts, self.per_spacing);
             let matrices = kinds.levels[l].matrices.clone();
             self.levels
                 .push(level_of(&now, next.as_ref(), matrix, matrices, children));
@@ -296,11 +296,14 @@ struct Finish<'a> {
 }
 
 impl WithSimd for Finish<'_> {
-    type Output = (Brick, Form);
+    type Output = Made;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
-        self.draft.finish(simd, self.topology)
+    fn with_simd<S: Simd>(self, simd: S) -> Made {
+        let (brick, form) = self.draft.finish(simd, self.topology);
+        let key = form.key();
+        let form = Arc::new(form);
+        Made { brick, form, key }
     }
 }
 
@@ -321,19 +324,14 @@ impl Made {
         let mut drafts = Vec::new();
         Draft::of(topology, &list, &mut drafts);
         let arch = Arch::new();
-        let finish = |draft: &Draft| {
-            let (brick, form) = arch.dispatch(Finish { draft, topology });
-            let key = form.key();
-            let form = Arc::new(form);
-            Self { brick, form, key }
-        };
+        let finish = |draft: &Draft| arch.dispatch(Finish { draft, topology });
         drafts.iter().map(finish).collect()
     }
 
     /// The brick with the number of its form.
     pub(super) fn numbered(self, kinds: &mut Kinds) -> Brick {
         Brick {
-            form: kinds.form(self.form, self.key),
+            form: kinds.form(&self.form, self.key),
             ..self.brick
         }
     }

@@ -6,7 +6,6 @@
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
-use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -18,7 +17,7 @@ use super::fine_level::own_stiffness;
 use super::hierarchy::{
     Hierarchy, Level, Made, entries_of, joined, parts_over_bricks, parts_over_children, place_of,
 };
-use super::kinds::Parts;
+use super::kinds::{Numbered, Parts, set_numbered};
 use super::prolongation::{FREE, set};
 use super::recoarsen::{Cells, Changed, Recoarsened, recoarsen};
 use crate::Topology;
@@ -37,7 +36,7 @@ pub(super) struct LevelChange {
     children: Vec<(u32, Vec<u32>)>,
     /// Matrices of elements, and new matrices.
     matrix: Vec<(u32, u32)>,
-    matrices: Vec<Arc<Matrix>>,
+    matrices: Numbered<Matrix>,
     /// The point that each new point was split from.
     pub(super) origins: Vec<u32>,
     /// Elements around points.
@@ -68,7 +67,8 @@ impl LevelChange {
 pub(crate) struct HierarchyChange {
     /// Changed and new bricks with their elements, sorted by their numbers.
     pub(super) bricks: Vec<(u32, Brick, u32)>,
-    forms: Vec<Arc<Form>>,
+    /// New forms, sorted by their numbers.
+    pub(super) forms: Numbered<Form>,
     /// Bricks around nodes.
     around: Vec<(u32, Vec<u32>)>,
     /// Mean stiffness of nodes at rest, in N/m.
@@ -208,7 +208,6 @@ impl Hierarchy {
             .par_iter()
             .map(|&element| Made::of(topology, construction.cells.row(element)))
             .collect();
-        let forms = construction.kinds.forms.len();
         let former = &self.levels[0].children;
         let mut count = self.bricks.len() as u32;
         let mut children = Vec::with_capacity(elements.len());
@@ -235,7 +234,12 @@ impl Hierarchy {
             }
             children.push((element, list));
         }
-        change.forms = construction.kinds.forms[forms..].to_vec();
+        // Numbers become unused only after all new ones are given.
+        let replaced = change.bricks.iter().filter(|b| b.1.present != 0);
+        for former in replaced.filter_map(|b| self.bricks.get(b.0 as usize)) {
+            construction.kinds.release_form(former.form);
+        }
+        change.forms = construction.kinds.take_new_forms();
         change.bricks.sort_unstable_by_key(|b| b.0);
         change.around = self.around_rewired(&change.bricks);
         children
@@ -352,22 +356,23 @@ impl Hierarchy {
             new.push((element.id, element.origin, octant(at) as u8));
             construction.places[l].push(at);
         }
-        let known = construction.kinds.levels[l].matrices.len();
         let list: Vec<Parts> = parts.iter().map(|p| p.1.clone()).collect();
-        let numbers = construction.kinds.matrices(l, &list, self.per_spacing);
+        let (numbers, matrices) = construction.kinds.matrices(l, &list, self.per_spacing);
+        let elements = parts.iter().map(|p| p.0);
+        for &former in elements
+            .clone()
+            .filter_map(|e| level.matrix.get(e as usize))
+        {
+            construction.kinds.levels[l].release(former);
+        }
         let is_changed = |&(e, m): &(u32, u32)| level.matrix.get(e as usize) != Some(&m);
-        let matrix: Vec<(u32, u32)> = parts
-            .iter()
-            .map(|p| p.0)
-            .zip(numbers)
-            .filter(is_changed)
-            .collect();
+        let matrix = elements.zip(numbers).filter(is_changed).collect();
         LevelChange {
             corners: coarse.corners,
             new,
             children: Vec::new(),
             matrix,
-            matrices: construction.kinds.levels[l].matrices[known..].to_vec(),
+            matrices,
             origins: coarse.origins,
             around: coarse.around,
             bounds: Vec::new(),
@@ -384,16 +389,17 @@ impl Hierarchy {
     }
 
     fn apply_bricks(&mut self, change: &HierarchyChange) {
-        self.forms.extend(change.forms.iter().cloned());
-        let known = self.shared.len();
-        self.shared.resize(self.forms.len(), false);
+        for (number, form) in &change.forms {
+            set_numbered(&mut self.forms, *number, form);
+            set(&mut self.shared, *number, false);
+        }
         let mut used = vec![false; change.forms.len()];
         for &(id, brick, element) in &change.bricks {
             set(&mut self.bricks, id, brick);
             set(&mut self.element_of, id, element);
-            let form = brick.form as usize;
-            let is_used = form < known || std::mem::replace(&mut used[form - known], true);
-            self.shared[form] |= is_used;
+            let new = change.forms.binary_search_by_key(&brick.form, |f| f.0);
+            let is_used = new.map_or(true, |new| std::mem::replace(&mut used[new], true));
+            self.shared[brick.form as usize] |= is_used;
         }
         for (node, row) in &change.around {
             self.around.set(*node, row);
@@ -403,7 +409,9 @@ impl Hierarchy {
     fn apply_level(&mut self, l: usize, change: &LevelChange) {
         let (finer, coarser) = self.levels.split_at_mut(l);
         let level = &mut coarser[0];
-        level.matrices.extend(change.matrices.iter().cloned());
+        for (number, matrix) in &change.matrices {
+            set_numbered(&mut level.matrices, *number, matrix);
+        }
         for &(e, _, octant) in &change.new {
             set(&mut level.octant, e, octant);
         }

@@ -207,14 +207,19 @@ impl Stiffness {
     /// The matrix in double precision.
     #[inline(always)]
     pub(crate) fn dense(&self) -> [[f64; SIZE]; SIZE] {
-        let row = |i: usize| lane(i / 3, i % 3);
-        std::array::from_fn(|j| match self {
-            Self::Full(k) => std::array::from_fn(|i| k.0[j][row(i)].into()),
-            Self::Short(k) => {
-                let entry = |i: usize| k.scale * f32::from(k.columns[j][row(i)]);
-                std::array::from_fn(|i| entry(i).into())
+        let mut dense = [[0.0; SIZE]; SIZE];
+        for (j, to) in dense.iter_mut().enumerate() {
+            let column = match self {
+                Self::Full(k) => k.0[j],
+                Self::Short(k) => k.columns[j].map(|v| k.scale * f32::from(v)),
+            };
+            for c in 0..8 {
+                for a in 0..3 {
+                    to[at(c, a)] = column[lane(c, a)].into();
+                }
             }
-        })
+        }
+        dense
     }
 
     /// Adds this matrix to another.

@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use super::*;
 use crate::{BladePoint, CutStroke, Material, Vec3, block, cut};
