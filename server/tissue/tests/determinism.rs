@@ -6,7 +6,7 @@ use palpate_tissue::{Budget, Material, Tissue, Tool, Topology, Vec3, block};
 
 /// Hash of a press into a block of 14 thousand cells with a volume term and stiffening springs. It changes only
 /// with the force law or the solver, and then on every machine.
-const GOLDEN: u64 = 0xe9c6_d62d_6511_b036;
+const GOLDEN: u64 = 0x7951_b513_6618_550b;
 
 fn press(threads: usize) -> u64 {
     let material = Material {
