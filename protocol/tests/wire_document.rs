@@ -125,14 +125,15 @@ fn every_kind_of_datagram_is_in_the_document() {
         Body::Probe(_) => (2, "probe"),
         Body::Reply(_) => (3, "reply"),
         Body::Delays(_) => (4, "delays"),
+        Body::Copy(_) => (6, "copy"),
         Body::Displacements(_) => (5, "displacements"),
     };
-    let mut seen = [false; 6];
+    let mut seen = [false; 7];
     for (index, name) in examples::datagrams().into_iter().map(kind) {
         assert_row(index + 1, name);
         seen[index] = true;
     }
-    assert_eq!(seen, [true; 6]);
+    assert_eq!(seen, [true; 7]);
     for (example, bytes) in examples::datagrams()
         .into_iter()
         .zip(examples::datagram_bytes().unwrap())

@@ -23,6 +23,7 @@
 //! | 4 reply | id u32, client time i64, server received i64, server sent i64 |
 //! | 5 delays | count u8, then {participant u16, mean u32, deviation u32, wanted u32} |
 //! | 6 displacements | those of all nodes in view, see [`shape`] |
+//! | 7 copy | a message of the operations stream, as in its frame |
 //!
 //! Decoders never panic, never allocate more than the datagram could hold, and reject trailing bytes.
 
@@ -78,6 +79,8 @@ pub enum Body {
     Reply(Reply),
     /// Each participant's delay estimate.
     Delays(Vec<(ParticipantId, DelayReport)>),
+    /// The bytes of a stream message, in case its packet is lost.
+    Copy(Vec<u8>),
 }
 
 /// A client's query of the server's clock.
@@ -108,6 +111,7 @@ const KIND_PROBE: u8 = 3;
 const KIND_REPLY: u8 = 4;
 const KIND_DELAYS: u8 = 5;
 const KIND_DISPLACEMENTS: u8 = 6;
+const KIND_COPY: u8 = 7;
 
 /// The number and time of the datagram, to which a body may refer.
 #[derive(Debug, Clone, Copy)]
@@ -136,6 +140,7 @@ impl Body {
             Self::Reply(_) => KIND_REPLY,
             Self::Delays(_) => KIND_DELAYS,
             Self::Displacements(_) => KIND_DISPLACEMENTS,
+            Self::Copy(_) => KIND_COPY,
         }
     }
 
@@ -230,6 +235,11 @@ impl Datagram {
                 write_delays(&mut w, list)?;
                 w.into_vec()
             }
+            Body::Copy(message) => {
+                let mut out = w.into_vec();
+                out.extend_from_slice(message);
+                out
+            }
         })
     }
 
@@ -321,6 +331,7 @@ impl<'a> Opened<'a> {
                     nodes: nodes.metres(),
                 })
             }
+            KIND_COPY => Body::Copy(self.rest.to_vec()),
             kind => read_plain(kind, self.rest)?,
         };
         Ok(Datagram {

@@ -14,7 +14,9 @@ use crate::compensation::{DelayEstimator, DelaySchedule, MotionArrival, REPORT_O
 use crate::datagram::{Body, Header};
 use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused};
 use crate::lateness::LONG_STALL;
+use crate::operation::Operation;
 use crate::request::{ClientMessage, Request, RequestKind, ServerMessage};
+use crate::session::copies::{IncomingCopies, OutgoingCopies};
 use crate::session::motion_batch::MotionBatch;
 use crate::session::outbox::Outbox;
 use crate::session::preamble::PreambleReader;
@@ -64,6 +66,8 @@ impl ClientSession {
 struct Joined {
     participant: ParticipantId,
     next_operation: OperationId,
+    /// Operations that came before the stream brought them.
+    copies: IncomingCopies<Operation>,
     /// How long the log was at the welcome; `None` once all that was in it has arrived.
     catch_up: Option<u64>,
     /// The snapshot that is arriving.
@@ -80,6 +84,7 @@ pub struct ClientSession {
     state: State,
     decoder: FrameDecoder<ServerMessage>,
     outbox: Outbox,
+    copies: OutgoingCopies,
     link: Link,
     clock: ClockEstimate,
     delay: DelayEstimator,
@@ -117,6 +122,7 @@ impl ClientSession {
             state: State::Preamble(PreambleReader::default()),
             decoder: FrameDecoder::new(codec::FRAME_MAX_BYTES),
             outbox,
+            copies: OutgoingCopies::default(),
             link: Link::default(),
             clock: ClockEstimate::new(),
             delay: DelayEstimator::default(),
@@ -188,7 +194,7 @@ impl ClientSession {
                 self.close(CloseReason::Goodbye(sentence));
             }
             (State::Joined(_), ServerMessage::Operation(operation)) => {
-                self.handle_operation(operation)?;
+                self.handle_streamed(operation)?;
             }
             (State::Joined(_), ServerMessage::Snapshot(piece)) => self.handle_snapshot(&piece)?,
             (State::Joined(_), ServerMessage::RequestRefused(refused)) => {
@@ -230,6 +236,11 @@ impl ClientSession {
             Body::Reply(_) if stall > LONG_STALL => {}
             Body::Reply(reply) => self.handle_reply(reply, now),
             Body::Delays(list) => self.emit(ClientEvent::Delays(list)),
+            Body::Copy(message) => {
+                if let Err(error) = self.handle_copy(&message) {
+                    self.close(CloseReason::Violation(error));
+                }
+            }
             Body::Probe(_) => self.link.count_misdirected(),
         }
         // A client without motion would acknowledge only with the next clock probe, too late to cover
@@ -305,6 +316,7 @@ impl ClientSession {
     /// Call at the time of [`poll_timeout`](Self::poll_timeout); an earlier call does no harm.
     pub fn handle_timeout(&mut self, now: ClientTime) {
         self.follow_clock(now);
+        self.enqueue_copies(now);
         match &self.state {
             State::Closed => {}
             State::Preamble(_) | State::Hello => {
@@ -387,7 +399,9 @@ impl ClientSession {
         }
         let leaving = request.kind == RequestKind::Leave;
         let id = request.id.0;
-        self.outbox.push(&ClientMessage::Request(request))?;
+        let frame = codec::encode_frame(&ClientMessage::Request(request))?;
+        self.copies.push(&frame[codec::PREFIX_BYTES..]);
+        self.outbox.push_bytes(frame)?;
         self.last_request = self.last_request.max(id);
         if leaving {
             self.close(CloseReason::Left);
@@ -412,6 +426,8 @@ impl ClientSession {
             State::Preamble(_) | State::Hello => Some(self.started + HANDSHAKE_TIMEOUT),
             State::Joined(_) => {
                 let due = self.probe_due.min(self.report_due);
+                let copy = self.copies.due().map(|due| ClientTime::ZERO + due);
+                let due = copy.map_or(due, |copy| due.min(copy));
                 let silence = self.last_received + SERVER_SILENCE;
                 Some(if self.link_lost {
                     due

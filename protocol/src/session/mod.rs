@@ -13,6 +13,7 @@
 //! counted, because datagrams can arrive late, twice or truncated.
 
 mod client;
+mod copies;
 mod link;
 mod motion_batch;
 mod outbox;
@@ -35,6 +36,7 @@ use crate::{ParticipantId, ProtocolError, ServerTime, Span, ToolSample, ToolTrac
 use link::Link;
 
 pub use client::{ClientSession, DELAY_REPORT_PERIOD, PROBE_PERIOD, PROBE_PERIOD_FIRST};
+pub use copies::{COPY_AFTER, COPY_MAX_BYTES};
 pub use link::{LinkStats, NoiseCounters};
 pub use picture::{PICTURE_RATE_BITS_PER_S, PICTURE_STEP_UM, Picture, PictureStats};
 pub use server::{FUTURE_MAX, REFUSALS_BURST_MAX, REQUESTS_PER_SECOND_MAX, ServerPeer};
@@ -231,6 +233,8 @@ pub enum PeerDatagram {
 
 #[cfg(test)]
 mod bad_peer_tests;
+#[cfg(test)]
+mod copy_tests;
 #[cfg(test)]
 mod overload_tests;
 #[cfg(test)]

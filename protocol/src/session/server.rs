@@ -1,5 +1,7 @@
 //! The server's end of one client's session.
 
+mod incoming_requests;
+
 use std::collections::VecDeque;
 
 use crate::codec::{self, FrameDecoder};
@@ -8,9 +10,8 @@ use crate::datagram::{Body, Probe, Reply};
 use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, RefusalReason, Refused};
 use crate::lateness::LONG_STALL;
 use crate::name;
-use crate::request::{
-    ClientMessage, Request, RequestKind, RequestRefusal, RequestRefused, ServerMessage,
-};
+use crate::request::{ClientMessage, Request, ServerMessage};
+use crate::session::copies::{IncomingCopies, OutgoingCopies};
 use crate::session::outbox::Outbox;
 use crate::session::picture::{PictureStats, PictureStream};
 use crate::session::preamble::{self, PreambleReader};
@@ -46,6 +47,8 @@ enum State {
     Joined {
         participant: ParticipantId,
         next_operation: OperationId,
+        /// The end of the log of the welcome.
+        log_end: u64,
     },
     Closed,
 }
@@ -74,6 +77,9 @@ pub struct ServerPeer {
     state: State,
     decoder: FrameDecoder<ClientMessage>,
     outbox: Outbox,
+    copies: OutgoingCopies,
+    /// Requests that came before the stream brought them.
+    requests: IncomingCopies<Request>,
     link: Link,
     /// The picture stream of a thin subscriber, from its first picture on.
     picture: Option<Box<PictureStream>>,
@@ -95,6 +101,9 @@ impl ServerPeer {
             state: State::Preamble(PreambleReader::default()),
             decoder: FrameDecoder::new(codec::HELLO_MAX_BYTES),
             outbox: Outbox::default(),
+            copies: OutgoingCopies::default(),
+            // A resumed client continues its numbering; its first copies wait for the stream.
+            requests: IncomingCopies::after(Some(0)),
             link: Link::default(),
             picture: None,
             events: VecDeque::new(),
@@ -162,7 +171,11 @@ impl ServerPeer {
                 }
             },
             (State::Joined { .. }, ClientMessage::Request(request)) => {
-                self.handle_request(request, now)
+                if self.requests.is_new(request.id.0.into()) {
+                    self.handle_request(request, now)?;
+                    self.handle_early(now)?;
+                }
+                Ok(())
             }
             (_, ClientMessage::Hello(_)) => Err(ProtocolError::OutOfOrder {
                 what: "hello",
@@ -173,38 +186,6 @@ impl ServerPeer {
                 state: "the hello is not answered",
             }),
         }
-    }
-
-    fn handle_request(&mut self, request: Request, now: ServerTime) -> Result<(), ProtocolError> {
-        if !request.kind.is_valid() {
-            return Err(ProtocolError::OutOfRange {
-                what: "a request",
-                detail: format!(
-                    "the numbers of {} are not finite, not ordered or too large",
-                    request.id
-                ),
-            });
-        }
-        if request.kind == RequestKind::Leave {
-            self.close(CloseReason::Left);
-            return Ok(());
-        }
-        let at = now - ServerTime::ZERO;
-        if self.accepted.take(1.0, at) {
-            self.emit(PeerEvent::Request(request));
-            return Ok(());
-        }
-        if self.refused.take(1.0, at) {
-            let refused = RequestRefused {
-                id: request.id,
-                reason: RequestRefusal::TooMany,
-            };
-            return self.outbox.push(&ServerMessage::RequestRefused(refused));
-        }
-        Err(ProtocolError::RequestFlood {
-            accepted: REQUESTS_PER_SECOND_MAX,
-            refused: REQUESTS_PER_SECOND_MAX,
-        })
     }
 
     /// One datagram. Noise is counted and otherwise ignored.
@@ -241,6 +222,11 @@ impl ServerPeer {
                 [(who, report)] if *who == participant => self.emit(PeerEvent::Delay(*report)),
                 _ => self.link.count_misdirected(),
             },
+            Body::Copy(message) => {
+                if let Err(error) = self.handle_copy(&message, now) {
+                    self.violation(error);
+                }
+            }
             Body::Corrections(_) | Body::Displacements(_) | Body::Reply(_) => {
                 self.link.count_misdirected();
             }
@@ -293,6 +279,9 @@ impl ServerPeer {
                 }
             }
             State::Joined { .. } => {
+                while let Some(message) = self.copies.poll(now - ServerTime::ZERO) {
+                    self.link.enqueue(Body::Copy(message), now);
+                }
                 if now - self.last_received >= PEER_SILENCE {
                     self.close(CloseReason::Silent(PEER_SILENCE));
                 } else if self.outbox.is_stalled(now) {
@@ -354,13 +343,21 @@ impl ServerPeer {
                 self.state = State::Joined {
                     participant: welcome.participant,
                     next_operation: welcome.first_operation,
+                    log_end: welcome.operations_so_far,
                 };
                 self.last_received = now;
                 Ok(())
             }
             (PeerMessage::Welcome(_), _) => not_joined("welcome without a hello"),
             (PeerMessage::Refused(refused), _) => self.refuse(refused.clone()),
-            (PeerMessage::Operation(operation), State::Joined { next_operation, .. }) => {
+            (
+                PeerMessage::Operation(operation),
+                State::Joined {
+                    next_operation,
+                    log_end,
+                    ..
+                },
+            ) => {
                 // A gap stands for operations that no longer matter.
                 if operation.id < *next_operation {
                     return Err(ProtocolError::OperationOrder {
@@ -369,8 +366,13 @@ impl ServerPeer {
                     });
                 }
                 *next_operation = operation.id.next();
-                self.outbox
-                    .push(&ServerMessage::Operation(operation.as_ref().clone()))
+                let message = ServerMessage::Operation(operation.as_ref().clone());
+                let frame = codec::encode_frame(&message)?;
+                if operation.id.0 >= *log_end {
+                    self.copies.push(&frame[codec::PREFIX_BYTES..]);
+                    self.copies.note(now - ServerTime::ZERO);
+                }
+                self.outbox.push_bytes(frame)
             }
             (PeerMessage::Snapshot(piece), State::Joined { .. }) => {
                 self.outbox.push(&ServerMessage::Snapshot(piece.to_vec()))
@@ -490,7 +492,9 @@ impl ServerPeer {
             }
             State::Joined { .. } => {
                 let due = self.heartbeat_due.min(self.last_received + PEER_SILENCE);
-                Some(self.outbox.due().map_or(due, |stall| due.min(stall)))
+                let copy = self.copies.due().map(|due| ServerTime::ZERO + due);
+                let others = [self.outbox.due(), copy].into_iter().flatten();
+                Some(others.fold(due, ServerTime::min))
             }
         }
     }

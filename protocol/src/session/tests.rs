@@ -35,7 +35,7 @@ pub(super) struct Path {
     delay_us: i64,
     jitter_us: i64,
     pub(super) loss: f64,
-    stream_due: i64,
+    pub(super) stream_due: i64,
     order: u64,
     /// Datagrams and their bytes, for counting.
     pub(super) datagrams: (u64, u64),
@@ -182,7 +182,7 @@ impl Pair {
         (0..ms).for_each(|_| self.step());
     }
 
-    fn send(&mut self, message: &PeerMessage) {
+    pub(super) fn send(&mut self, message: &PeerMessage) {
         self.server.send(message, self.server_now()).unwrap();
     }
 
@@ -240,7 +240,7 @@ pub(super) fn operation_at(id: u64) -> Operation {
     }
 }
 
-fn operation(id: u64) -> PeerMessage {
+pub(super) fn operation(id: u64) -> PeerMessage {
     PeerMessage::Operation(Arc::new(operation_at(id)))
 }
 

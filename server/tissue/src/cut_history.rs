@@ -4,15 +4,14 @@
 //! uncut tissue with the remaining parts of strokes in their order, or a copy of it that was kept when the stroke began.
 //! Cuts number new nodes in order, so every node from before the stroke keeps its number.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 
 use crate::cut::Plan;
 use crate::{CutError, CutOutcome, StrokePart, Topology};
 
-/// Topologies kept before the latest strokes, so that an undo repeats nothing. They share all that has not changed since: one
-/// takes about 2 MB of 57,000 nodes.
-const KEPT_MAX: usize = 8;
+/// Strokes whose undo repeats nothing: the topologies before the latest ones are kept. Older ones thin out, so that their
+/// number grows with the logarithm of that of the strokes, and taking all of n strokes back repeats about n log n.
+const KEPT: u64 = 8;
 
 /// The strokes of a topology.
 #[derive(Debug, Clone)]
@@ -22,8 +21,27 @@ pub struct CutHistory {
     done: Vec<Arc<StrokePart>>,
     /// Strokes taken back, the latest last.
     undone: Vec<Vec<Arc<StrokePart>>>,
-    /// Topologies before the latest strokes, in order, each with the number of parts that were done.
-    kept: VecDeque<(usize, Arc<Topology>)>,
+    /// Strokes in effect that began here.
+    begun: u64,
+    /// Topologies before them, in order.
+    kept: Vec<Kept>,
+}
+
+/// The topology before a stroke. It shares all that has not changed since.
+#[derive(Debug, Clone)]
+struct Kept {
+    /// Number of the stroke, from 1.
+    number: u64,
+    /// Parts that were done.
+    parts: usize,
+    topology: Arc<Topology>,
+}
+
+impl Kept {
+    /// Whether it stays when stroke `newest` begins: of every second, fourth, eighth ... stroke the latest ones stay.
+    fn stays(&self, newest: u64) -> bool {
+        (newest - self.number) >> self.number.trailing_zeros() < KEPT
+    }
 }
 
 impl CutHistory {
@@ -33,7 +51,8 @@ impl CutHistory {
             uncut,
             done: Vec::new(),
             undone: Vec::new(),
-            kept: VecDeque::new(),
+            begun: 0,
+            kept: Vec::new(),
         }
     }
 
@@ -122,9 +141,14 @@ impl CutHistory {
         let first = self.done.iter().position(is_last)?;
         let others = self.done.split_off(first);
         let (undone, others): (Vec<_>, Vec<_>) = others.into_iter().partition(is_last);
-        self.kept.retain(|(parts, _)| *parts <= first);
-        let (parts, mut by) =
-            (self.kept.pop_back()).unwrap_or_else(|| (0, Arc::clone(&self.uncut)));
+        self.kept.retain(|kept| kept.parts <= first);
+        let kept = self.kept.pop().unwrap_or_else(|| Kept {
+            number: 1,
+            parts: 0,
+            topology: Arc::clone(&self.uncut),
+        });
+        self.begun = kept.number - 1;
+        let (parts, mut by) = (kept.parts, kept.topology);
         let since = self.done.split_off(parts);
         self.repeat(&mut by, &since);
         let doubled = self.repeat(&mut by, &others);
@@ -162,9 +186,14 @@ impl CutHistory {
         let plan = Plan::of(topology, &path)?;
         let outcome = plan.apply(Arc::make_mut(topology), &path);
         self.done.push(part);
-        self.kept.extend(before);
-        if self.kept.len() > KEPT_MAX {
-            self.kept.pop_front();
+        if let Some((parts, topology)) = before {
+            self.begun += 1;
+            self.kept.retain(|kept| kept.stays(self.begun));
+            self.kept.push(Kept {
+                number: self.begun,
+                parts,
+                topology,
+            });
         }
         Ok(outcome)
     }
@@ -414,22 +443,33 @@ mod tests {
     }
 
     #[test]
-    fn undo_repeats_strokes_only_once_in_a_while() {
+    fn few_copies_are_kept_and_undos_repeat_few_strokes() {
+        const STROKES: usize = 64;
         let fat = Material::built_in("fat").unwrap();
-        let mut topology = Arc::new(Topology::new(Arc::new(block([48, 8, 4], CELL, &fat, 1))));
+        let model = Arc::new(block([150, 4, 3], CELL, &fat, 1));
+        let mut topology = Arc::new(Topology::new(model));
         let mut history = CutHistory::new(Arc::clone(&topology));
-        for x in 0..20 {
-            history
-                .cut(&mut topology, slit(1.2 + 2.3 * f64::from(x)))
-                .unwrap();
+        for stroke in 0..STROKES {
+            let x = 1.2 + 2.3 * stroke as f64;
+            history.cut(&mut topology, slit(x)).unwrap();
         }
-        let mut repeated = 0;
+        let log = STROKES.ilog2() as usize;
+        let (mut repeated, mut longest) = (0, 0);
         while history.can_undo() {
-            repeated += usize::from(history.kept.is_empty());
+            assert!(history.kept.len() <= KEPT as usize * (log + 1));
+            let first = history.done.len() - 1;
+            let kept = history.kept.iter().rfind(|kept| kept.parts <= first);
+            let strokes = first - kept.map_or(0, |kept| kept.parts);
+            if first + KEPT as usize >= STROKES {
+                assert_eq!(strokes, 0, "before stroke {first}");
+            }
+            repeated += strokes;
+            longest = longest.max(strokes);
             history.undo(&mut topology).unwrap();
-            assert!(history.kept.len() <= KEPT_MAX);
         }
-        assert_eq!(repeated, 2, "of twenty undos");
+        assert!(repeated <= STROKES, "{repeated} strokes");
+        assert!(longest <= STROKES / KEPT as usize, "{longest} strokes");
+        assert_eq!(topology.hash(), history.uncut().hash());
     }
 
     #[test]

@@ -349,6 +349,15 @@ fn mapping_to_rest_inverts_the_deformation() {
     assert!((from.position - top).norm() < 0.3 * D && from.outside > 0.1);
     assert!(to_rest(&t, &shape, Vec3::repeat(1.0)).is_none());
     assert!(to_rest(&t, &shape, Vec3::repeat(f64::NAN)).is_none());
+    // A point in the air keeps its height over cells that are squeezed to a third.
+    let mut flat = Shape::rest(&t);
+    for (i, u) in flat.displacement.iter_mut().enumerate() {
+        let z = t.rest(i as u32).z;
+        u.z = if z > 11.5 * D { -0.67 * D } else { 0.0 };
+    }
+    let air = Vec3::new(5.3 * D, 5.4 * D, 12.0 * D);
+    let from = to_rest(&t, &flat, air).unwrap();
+    assert!((from.position.z - 12.67 * D).abs() < 1e-9, "{from:?}");
     // A blade keeps its unit axis; its lengths are transformed.
     let blade = BladePoint {
         tip: Vec3::repeat(6.0 * D) + press(Vec3::repeat(6.0 * D)),

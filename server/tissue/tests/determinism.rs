@@ -2,11 +2,20 @@
 
 use std::sync::Arc;
 
+mod strokes;
+
 use palpate_tissue::{Budget, Material, Tissue, Tool, Topology, Vec3, block};
+use rand::SeedableRng;
+use rand_pcg::Pcg64;
+use strokes::random_stroke::{pieces, random_stroke};
 
 /// Hash of a press into a block of 14 thousand cells with a volume term and stiffening springs. It changes only
 /// with the force law or the solver, and then on every machine.
 const GOLDEN: u64 = 0x7951_b513_6618_550b;
+
+/// Hashes of the topology after random strokes in parts, an undo and a redo, and of the shape under a ball. They change
+/// only with the rules of cuts or the solver.
+const GOLDEN_CUT: [u64; 2] = [0x33ad_daa7_d248_2473, 0x0e6d_66b9_9879_df02];
 
 fn press(threads: usize) -> u64 {
     let material = Material {
@@ -38,5 +47,49 @@ fn press(threads: usize) -> u64 {
 fn press_is_bit_equal_on_any_thread_count_and_in_any_build() {
     for threads in [1, 2, 4] {
         assert_eq!(press(threads), GOLDEN, "{:#x} on {threads}", press(threads));
+    }
+}
+
+fn cut_and_press(threads: usize) -> [u64; 2] {
+    const SPACING_M: f64 = 4e-3;
+    let fat = Material::built_in("fat").expect("material");
+    let model = Arc::new(block([20, 20, 10], SPACING_M, &fat, 1));
+    let mut tissue = Tissue::new(model);
+    let mut preparer = tissue.preparer();
+    let mut random = Pcg64::seed_from_u64(29);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .expect("threads");
+    pool.install(|| {
+        for _ in 0..6 {
+            let stroke = random_stroke(preparer.topology(), &mut random);
+            for part in pieces(&stroke, 0.01, SPACING_M) {
+                if let Ok(cut) = preparer.prepare(&part) {
+                    tissue.succeed(cut);
+                }
+            }
+        }
+        let undone = [preparer.undo(), preparer.undo()];
+        undone
+            .into_iter()
+            .flatten()
+            .for_each(|cut| drop(tissue.succeed(cut)));
+        let redone = preparer.redo().expect("a stroke to redo").expect("redo");
+        tissue.succeed(redone);
+        for step in 1..=3 {
+            let height = 0.04 + 0.012 - 1e-3 * f64::from(step);
+            let tool = Tool::ball(1, Vec3::new(0.041, 0.037, height), 0.012);
+            tissue.step(&[tool], Budget::new(4, 1e-6));
+        }
+    });
+    [tissue.topology().hash().0, tissue.shape().hash()]
+}
+
+#[test]
+fn cuts_are_bit_equal_on_any_thread_count_and_in_any_build() {
+    for threads in [1, 2, 4] {
+        let hashes = cut_and_press(threads);
+        assert_eq!(hashes, GOLDEN_CUT, "{hashes:#x?} on {threads}");
     }
 }

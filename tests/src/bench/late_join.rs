@@ -1,8 +1,8 @@
 //! `bench late-join`: time of a join to a session with many cuts, from the snapshot and from the whole log.
 //!
 //! Blades cut rows of strokes in parts of 2 mm across the surface, in several directions, until the log has the wanted
-//! number of parts. The server takes a snapshot after every 64 of them. A trainee then joins. All times are elapsed times
-//! without the network and without the model, on all processors.
+//! number of parts. The server takes a snapshot after every 64 of them. The server then takes back every stroke, and a
+//! trainee joins with the log from before. All times are elapsed times without the network and without the model, on all processors.
 
 use std::fmt;
 use std::sync::Arc;
@@ -21,10 +21,11 @@ use palpate_protocol::{
 };
 use palpate_site::{CutOrder, Site, tissue_stroke};
 use palpate_tissue::snapshot::snapshot;
-use palpate_tissue::{CutHistory, Model, Topology};
+use palpate_tissue::{CutPreparer, Model, Tissue, Topology};
 use serde::Serialize;
 
-use super::{Benchmark, OnStage};
+use super::{Benchmark, OnStage, quantile};
+use crate::memory::Memory;
 use crate::test_model::TestModel;
 use crate::tool_location::ToolLocation;
 
@@ -84,6 +85,22 @@ pub struct LateJoinReport {
     pub snapshot_ms: f64,
     pub from_snapshot: Join,
     pub from_log: Join,
+    pub undo: UndoOfAll,
+}
+
+/// The undo of all strokes at the server, with its solver.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct UndoOfAll {
+    pub strokes: usize,
+    /// Times of the undos, ms.
+    pub p50_ms: f64,
+    pub max_ms: f64,
+    /// Resident memory without a cut, with all cuts and after the undos, in units of 1,048,576 bytes.
+    pub uncut_mb: Option<f64>,
+    pub cut_mb: Option<f64>,
+    pub undone_mb: Option<f64>,
+    /// Whether the hash is that of the uncut topology.
+    pub is_uncut: bool,
 }
 
 impl Benchmark for LateJoin {
@@ -94,9 +111,8 @@ impl Benchmark for LateJoin {
         progress("making the cuts");
         let mut session = Session::new(&model);
         session.cut(usize::from(self.cuts))?;
-        progress("joining");
         let mut report = LateJoinReport {
-            nodes: session.topology.node_count(),
+            nodes: session.topology().node_count(),
             cuts: session.log.len(),
             snapshot_bytes: session
                 .snapshot
@@ -105,8 +121,12 @@ impl Benchmark for LateJoin {
             snapshot_ms: session.snapshot_ms,
             from_snapshot: Join::default(),
             from_log: Join::default(),
+            undo: UndoOfAll::default(),
         };
         let undone = session.undo()?;
+        progress("taking back all strokes");
+        report.undo = session.undo_all();
+        progress("joining");
         report.from_snapshot = session.join(&model, true, &undone)?;
         report.from_log = session.join(&model, false, &undone)?;
         Ok(report)
@@ -115,8 +135,9 @@ impl Benchmark for LateJoin {
 
 /// The server's side.
 struct Session {
-    topology: Arc<Topology>,
-    history: CutHistory,
+    tissue: Tissue,
+    preparer: CutPreparer,
+    memory: [Option<f64>; 2],
     log: Vec<Operation>,
     /// The latest snapshot and its version.
     snapshot: Option<(u32, Vec<u8>)>,
@@ -125,18 +146,23 @@ struct Session {
 
 impl Session {
     fn new(model: &Arc<Model>) -> Self {
-        let topology = Arc::new(Topology::new(Arc::clone(model)));
+        let tissue = Tissue::new(Arc::clone(model));
         Self {
-            history: CutHistory::new(Arc::clone(&topology)),
-            topology,
+            preparer: tissue.preparer(),
+            tissue,
+            memory: [resident_mb(), None],
             log: Vec::new(),
             snapshot: None,
             snapshot_ms: 0.0,
         }
     }
 
+    fn topology(&self) -> &Arc<Topology> {
+        self.preparer.topology()
+    }
+
     fn cut(&mut self, wanted: usize) -> Result<(), String> {
-        let location = ToolLocation::find(&self.topology)?;
+        let location = ToolLocation::find(self.topology())?;
         let apart = ROWS * location.spacing_m;
         let rows = (REACH_M / apart) as i32;
         for direction in 0..DIRECTIONS {
@@ -146,6 +172,7 @@ impl Session {
                 let depth_m = DEPTH_M + DEEPER_M * direction as f64;
                 self.stroke(&location, turn, across, depth_m, wanted);
                 if self.log.len() == wanted {
+                    self.memory[1] = resident_mb();
                     return Ok(());
                 }
             }
@@ -190,7 +217,8 @@ impl Session {
                 width_m: 0.0,
             };
             let stroke = tissue_stroke(SURGEON, &part);
-            if self.history.cut(&mut self.topology, stroke).is_ok() {
+            if let Ok(cut) = self.preparer.prepare(stroke) {
+                self.tissue.succeed(cut);
                 self.note(OperationKind::Cut(part));
                 (points, joins) = (Vec::new(), true);
             } else if points.len() > POINTS_MAX {
@@ -203,19 +231,19 @@ impl Session {
     }
 
     fn note(&mut self, kind: OperationKind) {
-        let version = self.topology.version();
+        let (version, hash) = (self.topology().version(), self.topology().hash());
         self.log.push(Operation {
             id: OperationId(self.log.len() as u64),
             at: ServerTime::ZERO,
             author: SURGEON,
             topology_version_before: version - 1,
             topology_version_after: version,
-            hash_after: TopologyHash(self.topology.hash().0),
+            hash_after: TopologyHash(hash.0),
             kind,
         });
         if self.log.len().is_multiple_of(SNAPSHOT_EVERY) {
             let began = Instant::now();
-            let bytes = snapshot(&self.topology, &self.history);
+            let bytes = snapshot(self.topology(), self.preparer.history());
             self.snapshot_ms = self.snapshot_ms.max(ms(began));
             self.snapshot = Some((version, bytes));
         }
@@ -223,10 +251,29 @@ impl Session {
 
     /// Takes back the last stroke; the operation is not in the log that a newcomer receives.
     fn undo(&mut self) -> Result<Operation, String> {
-        let undone = self.history.undo(&mut self.topology);
-        undone.ok_or("there is no cut to undo")?;
+        let undone = self.preparer.undo().ok_or("there is no cut to undo")?;
+        self.tissue.succeed(undone);
         self.note(OperationKind::Undone);
         self.log.pop().ok_or("the log is empty".to_owned())
+    }
+
+    fn undo_all(&mut self) -> UndoOfAll {
+        let mut times = Vec::new();
+        let mut began = Instant::now();
+        while let Some(undone) = self.preparer.undo() {
+            self.tissue.succeed(undone);
+            times.push(ms(began));
+            began = Instant::now();
+        }
+        UndoOfAll {
+            strokes: times.len(),
+            p50_ms: quantile(&times, 0.5),
+            max_ms: quantile(&times, 1.0),
+            uncut_mb: self.memory[0],
+            cut_mb: self.memory[1],
+            undone_mb: resident_mb(),
+            is_uncut: self.topology().hash() == self.preparer.history().uncut().hash(),
+        }
     }
 
     /// A trainee joins after all cuts, and takes back the last stroke.
@@ -302,6 +349,10 @@ impl Session {
     }
 }
 
+fn resident_mb() -> Option<f64> {
+    Memory::of(std::process::id()).map(|memory| memory.resident_mb)
+}
+
 fn ms(began: Instant) -> f64 {
     began.elapsed().as_secs_f64() * 1e3
 }
@@ -330,6 +381,22 @@ impl fmt::Display for LateJoinReport {
                 join.operations, join.model_ms, join.restore_ms, join.repeat_ms, join.undo_ms
             )?;
         }
-        Ok(())
+        let mb = |memory: Option<f64>| memory.map_or("?".to_owned(), |mb| format!("{mb:.0}"));
+        let undo = &self.undo;
+        writeln!(
+            f,
+            "undo of all {} strokes: {:.1} ms (median), {:.1} ms (longest); memory {} MB uncut, {} cut, {} after; {}",
+            undo.strokes,
+            undo.p50_ms,
+            undo.max_ms,
+            mb(undo.uncut_mb),
+            mb(undo.cut_mb),
+            mb(undo.undone_mb),
+            if undo.is_uncut {
+                "the topology is the uncut one"
+            } else {
+                "the topology is NOT the uncut one"
+            }
+        )
     }
 }

@@ -41,6 +41,7 @@ impl Part {
             1 => Self::Motion,
             3 | 4 => Self::Clock,
             5 => Self::Delays,
+            7 => Self::Operations,
             _ => Self::Corrections,
         }
     }
@@ -307,6 +308,7 @@ mod tests {
                 Body::Corrections(_) | Body::Displacements(_) => Part::Corrections,
                 Body::Probe(_) | Body::Reply(_) => Part::Clock,
                 Body::Delays(_) => Part::Delays,
+                Body::Copy(_) => Part::Operations,
             };
             assert_eq!(Part::of_datagram(&bytes.message), part, "{}", example.name);
             let acknowledges = bytes.message[0] & ACKNOWLEDGES != 0;

@@ -19,6 +19,7 @@ impl ClientSession {
     /// The next datagram, with the newest content.
     pub fn poll_datagram(&mut self, now: ClientTime) -> Option<Vec<u8>> {
         self.follow_clock(now);
+        self.copies.note(now - ClientTime::ZERO);
         let State::Joined(joined) = &self.state else {
             return None;
         };
@@ -49,6 +50,17 @@ impl ClientSession {
         let rest = self.next_of_rest(now, generated);
         self.pending.after_motion = with_motion && rest.is_some();
         rest
+    }
+
+    /// Queues the copies that are due.
+    pub(super) fn enqueue_copies(&mut self, now: ClientTime) {
+        let since = self
+            .clock
+            .map()
+            .map_or(ServerTime::ZERO, |map| map.to_server(now));
+        while let Some(message) = self.copies.poll(now - ClientTime::ZERO) {
+            self.link.enqueue(Body::Copy(message), since);
+        }
     }
 
     /// The next datagram other than motion.

@@ -14,7 +14,7 @@ use crate::{FaceId, Shape, Topology, Vec3};
 const GUESSES: usize = 8;
 /// Most cells the walk passes; the guess is a few cells off at most.
 const WALK_MAX: usize = 64;
-/// How far outside the tissue a point may be and still be mapped, in cells.
+/// How far outside the tissue a point may be and still be mapped, in spacings.
 const OUTSIDE_MAX: f64 = 1.5;
 
 /// A point of the deformed shape seen in the rest frame.
@@ -24,14 +24,14 @@ pub struct RestPoint {
     pub position: Vec3,
     /// The cell that contains it, or the nearest one.
     pub cell: u32,
-    /// How far outside that cell it is, in cells; 0 inside.
+    /// Distance from that cell in spacings; 0 inside.
     pub outside: f64,
     /// Derivative of the rest position by the deformed one: takes directions and lengths along.
     pub frame: Matrix3<f64>,
 }
 
-/// Maps a point in the world to the rest frame. Points up to 1.5 cells outside the surface are
-/// extrapolated from the nearest cell; `None` for points farther away.
+/// Maps a point in the world to the rest frame. A point up to 1.5 spacings outside the surface moves like the nearest point of
+/// the nearest cell: a distorted cell would extrapolate by several millimetres. `None` for points farther away.
 pub fn to_rest(topology: &Topology, shape: &Shape, world: Vec3) -> Option<RestPoint> {
     if !world.iter().all(|v| v.is_finite()) {
         return None;
@@ -45,15 +45,17 @@ pub fn to_rest(topology: &Topology, shape: &Shape, world: Vec3) -> Option<RestPo
             break;
         };
         let out = local.map(|v| (v - 0.5).abs() - 0.5);
-        let outside = out.amax().max(0.0).min(out.max().max(0.0));
+        let nearest = local.map(|v| v.clamp(0.0, 1.0));
+        let off = world - point(&deformed, &nearest);
+        let outside = off.norm() / topology.model().spacing_m;
         if best.is_none_or(|b| outside < b.outside) {
             let rest = nodes.map(|n| topology.rest(n));
-            let inverse = gradient(&deformed, &local).try_inverse()?;
+            let inverse = gradient(&deformed, &nearest).try_inverse()?;
             best = Some(RestPoint {
-                position: point(&rest, &local),
+                position: point(&rest, &nearest) + off,
                 cell,
                 outside,
-                frame: gradient(&rest, &local) * inverse,
+                frame: gradient(&rest, &nearest) * inverse,
             });
         } else {
             break;

@@ -1,0 +1,97 @@
+//! Copies of requests and operations overtake a stream that waits for a lost packet.
+
+use super::tests::{Pair, operation};
+use crate::control::Control;
+use crate::datagram::{Body, Datagram, Header, Memory, Tag};
+use crate::operation::Operation;
+use crate::request::{Request, RequestKind, ServerMessage};
+use crate::session::{ClientEvent, CloseReason, PeerEvent};
+use crate::{Epoch, OperationId, ParticipantId, RequestId, ServerTime, codec};
+
+/// An established session over 20 ms, whose streams stand still for a second.
+fn held_back() -> Pair {
+    let mut pair = Pair::new(3, 20_000, 0, 0.0);
+    pair.join(1);
+    pair.steps(500);
+    let until = pair.now_us + 1_000_000;
+    (pair.up.stream_due, pair.down.stream_due) = (until, until);
+    pair
+}
+
+fn requests(pair: &Pair) -> Vec<RequestId> {
+    let ids = pair.server_events.iter().filter_map(|event| match event {
+        PeerEvent::Request(Request { id, .. }) => Some(*id),
+        _ => None,
+    });
+    ids.collect()
+}
+
+fn operations(pair: &Pair) -> Vec<OperationId> {
+    let ids = pair.client_events.iter().filter_map(|event| match event {
+        ClientEvent::Operation(Operation { id, .. }) => Some(*id),
+        _ => None,
+    });
+    ids.collect()
+}
+
+#[test]
+fn copies_overtake_a_stream_that_waits_and_arrive_once() {
+    let mut pair = held_back();
+    for _ in 0..3 {
+        pair.client
+            .request(RequestKind::Control(Control::Undo))
+            .unwrap();
+        pair.steps(5);
+    }
+    for id in 1..4 {
+        pair.send(&operation(id));
+        pair.steps(5);
+    }
+    pair.steps(50);
+    let expected = [1, 2, 3].map(RequestId);
+    assert_eq!(requests(&pair), expected);
+    assert_eq!(operations(&pair), [0, 1, 2, 3].map(OperationId));
+    pair.steps(2000);
+    assert_eq!(requests(&pair), expected);
+    assert_eq!(operations(&pair), [0, 1, 2, 3].map(OperationId));
+    assert!(!pair.server.is_closed() && !pair.client.is_closed());
+}
+
+#[test]
+fn log_of_the_welcome_has_no_copies() {
+    let mut pair = Pair::new(3, 20_000, 0, 0.0);
+    pair.join(40);
+    let before = pair.server.stats().sent;
+    pair.steps(40);
+    assert!(pair.server.stats().sent - before < 10);
+    assert_eq!(operations(&pair).len(), 40);
+}
+
+#[test]
+fn copy_of_another_message_ends_the_session() {
+    let mut pair = held_back();
+    let message = ServerMessage::Goodbye {
+        sentence: "end".to_owned(),
+    };
+    let message = codec::encode_frame(&message).unwrap();
+    let datagram = Datagram {
+        header: Header {
+            tag: Tag {
+                epoch: Epoch(2),
+                stream: ParticipantId(5),
+            },
+            sequence: pair.client.stats(pair.client_now()).expected as u32 + 1,
+            generated: ServerTime::ZERO,
+            is_whole: true,
+            acknowledged: None,
+        },
+        body: Body::Copy(message[codec::PREFIX_BYTES..].to_vec()),
+    };
+    let bytes = datagram.encode(&mut Memory::default()).unwrap();
+    let now = pair.client_now();
+    pair.client.handle_datagram(&bytes, now);
+    pair.steps(1);
+    let is_violation =
+        |e: &ClientEvent| matches!(e, ClientEvent::Closed(CloseReason::Violation(_)));
+    assert!(pair.client_events.iter().any(is_violation));
+}
