@@ -321,3 +321,38 @@ fn bounds_of(triangles: &[Triangle]) -> Bounds {
     let first = triangles[0].bounds;
     triangles.iter().fold(first, |b, t| b.with(&t.bounds))
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn place() -> impl Strategy<Value = Vec3> {
+        prop::array::uniform3(-20.0..20.0f64).prop_map(Vec3::from)
+    }
+
+    proptest! {
+        #[test]
+        fn tree_finds_what_a_test_of_every_triangle_finds(
+            path in prop::collection::vec((place(), 1.0..9.0f64), 2..30),
+            points in prop::collection::vec((place(), -2.0..2.0f64), 20),
+        ) {
+            let blade = |&(tip, depth_m): &(Vec3, f64)| BladePoint { tip, axis: Vec3::z(), depth_m };
+            let points_of_blade: Vec<BladePoint> = path.iter().map(blade).collect();
+            let ribbon = Ribbon::swept(&points_of_blade, 1.0);
+            for (p, step) in points {
+                let distances = ribbon.triangles.iter().map(|t| (t.nearest(&p) - p).norm());
+                let expected = Some(distances.fold(f64::INFINITY, f64::min)).filter(|d| *d < REACH);
+                let found = ribbon.nearest(&p).map(|foot| (foot.point - p).norm());
+                prop_assert_eq!(found.is_some(), expected.is_some());
+                let apart = found.zip(expected).map_or(0.0, |(a, b)| (a - b).abs());
+                prop_assert!(apart < 1e-9, "{:?} instead of {:?}", found, expected);
+                prop_assert!(expected.is_none_or(|d| ribbon.may_reach(&p, d + 1e-9)));
+                let q = p + Vec3::new(step, 0.5 * step, step);
+                let crosses = ribbon.triangles.iter().any(|t| t.crosses(&p, &q));
+                prop_assert_eq!(ribbon.crosses(&p, &q), crosses);
+            }
+        }
+    }
+}

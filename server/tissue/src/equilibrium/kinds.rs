@@ -265,3 +265,25 @@ impl Form {
         xxhash_rust::xxh3::xxh3_128(&bytes)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn number_is_given_again_only_after_its_last_use() {
+        let mut numbers = Numbers::default();
+        assert_eq!(numbers.take(&'a'), (0, true));
+        assert_eq!(numbers.take(&'b'), (1, true));
+        assert_eq!(numbers.take(&'a'), (0, false));
+        numbers.release(0);
+        assert_eq!(numbers.take(&'c'), (2, true));
+        numbers.release(0);
+        assert_eq!(numbers.take(&'d'), (0, true));
+        assert_eq!(numbers.take(&'a'), (3, true));
+        let mut same = Numbers::used(4, [(2, 'c'), (3, 'a'), (3, 'a')].into_iter());
+        assert_eq!(same.take(&'c'), (2, false));
+        assert_eq!(same.take(&'e').0 + same.take(&'f').0, 1);
+        assert_eq!(same.take(&'g'), (4, true));
+    }
+}
