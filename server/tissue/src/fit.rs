@@ -13,6 +13,9 @@
 //!
 //! clamped between bounds, so that no spring ever pushes.
 
+// Inlined into code for the vectors of this machine.
+#![allow(clippy::inline_always)]
+
 use pulp::Simd;
 
 use crate::Vec3;
@@ -198,8 +201,7 @@ fn factor<S: Simd>(simd: S, normal: &Matrix) -> Option<Matrix> {
     }
     for i in 0..COMPONENTS {
         let root = u[i][i].sqrt();
-        // Written so that a NaN fails.
-        if !(root > 0.0) {
+        if root.is_nan() || root <= 0.0 {
             return None;
         }
         u[i][..i].fill(0.0);

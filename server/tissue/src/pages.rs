@@ -31,7 +31,8 @@ impl<T: Clone> Pages<T> {
     /// Copies of one item, which share one page.
     pub(crate) fn filled(item: T, len: usize) -> Self {
         let rest = Arc::new(vec![item.clone(); len % PAGE]);
-        let mut pages = vec![Arc::new(vec![item; PAGE]); len / PAGE];
+        let full = Arc::new(vec![item; PAGE]);
+        let mut pages: Vec<Page<T>> = std::iter::repeat_n(full, len / PAGE).collect();
         pages.extend((!rest.is_empty()).then_some(rest));
         let branches = pages.chunks(BRANCH);
         Self {

@@ -178,7 +178,7 @@ impl Kinds {
             self.levels.push(LevelKinds::default());
         }
         let (finer, coarser) = self.levels.split_at_mut(l);
-        let finer = finer.last().map(|level| &*level);
+        let finer = finer.last();
         let LevelKinds { matrices, numbers } = &mut coarser[0];
         let mut new: Vec<(u32, &Parts)> = Vec::new();
         let number = |list| {
