@@ -6,7 +6,8 @@
 
 use std::sync::Arc;
 
-use crate::{CutError, CutOutcome, StrokePart, Topology, cut};
+use crate::cut::Plan;
+use crate::{CutError, CutOutcome, StrokePart, Topology};
 
 /// Strokes whose undo repeats nothing: the topologies before the latest ones are kept. Older ones thin out, so that their
 /// number grows with the logarithm of that of the strokes, and taking all of n strokes back repeats about n log n.
@@ -181,7 +182,9 @@ impl CutHistory {
         let path = part.with_overlap(&self.done, topology.model().spacing_m);
         let begins = !part.joins && !self.done.iter().rev().any(|p| p.is_of_stroke(&part));
         let before = begins.then(|| (self.done.len(), Arc::clone(topology)));
-        let outcome = cut(Arc::make_mut(topology), &path)?;
+        // A copy is made only for a stroke that parts something.
+        let plan = Plan::of(topology, &path)?;
+        let outcome = plan.apply(Arc::make_mut(topology), &path);
         self.done.push(part);
         if let Some((parts, topology)) = before {
             self.begun += 1;

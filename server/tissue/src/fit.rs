@@ -13,10 +13,14 @@
 //!
 //! clamped between bounds, so that no spring ever pushes.
 
-use nalgebra::{SMatrix, SVector};
+// Inlined into code for the vectors of this machine.
+#![allow(clippy::inline_always)]
+
+use pulp::Simd;
 
 use crate::Vec3;
 use crate::cell::PAIRS;
+use crate::equilibrium::add_scaled;
 use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE};
 
 /// Springs of a cell: all pairs of its corners.
@@ -42,7 +46,8 @@ pub(crate) const fn share(a: usize, b: usize) -> f64 {
 
 /// Shares of the springs of a cell with these corners. A spring shorter than `floor` counts as that
 /// long when its stiffness is computed, so it carries less than its share.
-pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
+#[inline(always)]
+pub(crate) fn shares<S: Simd>(simd: S, corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
     let plain = PAIRS.map(|[a, b]| share(a, b));
     if is_cube(corners) {
         return plain;
@@ -58,29 +63,27 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
     }
     let mut shares = plain;
     let mut free = [true; SPRINGS];
-    let mut normal = [[0.0; ROW]; ROW];
+    let mut normal = [[0.0; ROW]; COMPONENTS];
     for (column, share) in columns.iter().zip(plain) {
-        add_square(&mut normal, column, share);
+        add_square(simd, &mut normal, column, share);
     }
     for _ in 0..ROUNDS {
-        let Some(solved) = regular(&normal).cholesky() else {
+        let Some(factor) = factor(simd, &normal) else {
             break;
         };
-        let missing = missing(&columns, &shares);
-        let force = solved.solve(&SVector::from_row_slice(&missing[..COMPONENTS]));
+        let force = solve(simd, &factor, missing(simd, &columns, &shares));
         let mut bounded = false;
         for s in 0..SPRINGS {
             if !free[s] {
                 continue;
             }
-            let along = columns[s].iter().zip(force.iter()).map(|(c, f)| c * f);
-            shares[s] += plain[s] * along.sum::<f64>();
+            shares[s] += plain[s] * dot(&columns[s], &force);
             let [low, high] = BOUNDS.map(|b| b * plain[s]);
             if !(low..=high).contains(&shares[s]) {
                 shares[s] = shares[s].clamp(low, high);
                 free[s] = false;
                 bounded = true;
-                add_square(&mut normal, &columns[s], -plain[s]);
+                add_square(simd, &mut normal, &columns[s], -plain[s]);
             }
         }
         if !bounded {
@@ -88,7 +91,10 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
         }
     }
     // Clamping can turn a good solution into a bad one, in cells that are nearly flat.
-    let off = |shares| missing(&columns, shares).iter().map(|v| v * v).sum::<f64>();
+    let off = |shares| {
+        let missing = missing(simd, &columns, shares);
+        dot(&missing, &missing)
+    };
     if off(&shares) < off(&plain) {
         shares
     } else {
@@ -96,6 +102,7 @@ pub(crate) fn shares(corners: &[Vec3; 8], floor: f64) -> [f64; SPRINGS] {
     }
 }
 
+#[inline(always)]
 fn is_cube(corners: &[Vec3; 8]) -> bool {
     let side = (corners[1] - corners[0]).norm();
     (0..8).all(|c| {
@@ -110,8 +117,10 @@ fn is_cube(corners: &[Vec3; 8]) -> bool {
 const COMPONENTS: usize = 15;
 const ROW: usize = 16;
 type Row = [f64; ROW];
+type Matrix = [Row; COMPONENTS];
 
 /// The components of n n n n.
+#[inline(always)]
 fn powers(n: &Vec3) -> Row {
     let [x, y, z] = [n.x, n.y, n.z];
     let (xx, yy, zz) = (x * x, y * y, z * z);
@@ -148,30 +157,77 @@ const ISOTROPIC: Row = {
 };
 
 /// Isotropic tensor minus the tensor of these shares.
-fn missing(columns: &[Row; SPRINGS], shares: &[f64; SPRINGS]) -> Row {
+#[inline(always)]
+fn missing<S: Simd>(simd: S, columns: &[Row; SPRINGS], shares: &[f64; SPRINGS]) -> Row {
     let mut sum = ISOTROPIC;
     for (column, share) in columns.iter().zip(shares) {
-        for (to, v) in sum.iter_mut().zip(column) {
-            *to -= share * v;
-        }
+        add_scaled(simd, &mut sum, -share, column);
     }
     sum
 }
 
 /// `to += weight c cᵀ`.
-fn add_square(to: &mut [Row; ROW], c: &Row, weight: f64) {
+#[inline(always)]
+fn add_square<S: Simd>(simd: S, to: &mut Matrix, c: &Row, weight: f64) {
     for (row, v) in to.iter_mut().zip(c) {
-        let v = weight * v;
-        for (to, c) in row.iter_mut().zip(c) {
-            *to += v * c;
-        }
+        add_scaled(simd, row, weight * v, c);
     }
 }
 
-fn regular(normal: &[Row; ROW]) -> SMatrix<f64, COMPONENTS, COMPONENTS> {
+/// Sum of the products, in an order that suits vectors of any width.
+#[inline(always)]
+fn dot(a: &Row, b: &Row) -> f64 {
+    let mut sum = [0.0; ROW];
+    for i in 0..ROW {
+        sum[i] = a[i] * b[i];
+    }
+    let mut half = ROW / 2;
+    while half > 0 {
+        for i in 0..half {
+            sum[i] += sum[i + half];
+        }
+        half /= 2;
+    }
+    sum[0]
+}
+
+/// Cholesky factor U of the regularised matrix Uᵀ U; `None` if that is not positive definite.
+#[inline(always)]
+fn factor<S: Simd>(simd: S, normal: &Matrix) -> Option<Matrix> {
     let trace: f64 = (0..COMPONENTS).map(|i| normal[i][i]).sum();
-    let at = |i: usize, j: usize| normal[i][j] + if i == j { REGULAR * trace } else { 0.0 };
-    SMatrix::from_fn(at)
+    let mut u = *normal;
+    for i in 0..COMPONENTS {
+        u[i][i] += REGULAR * trace;
+    }
+    for i in 0..COMPONENTS {
+        let root = u[i][i].sqrt();
+        if root.is_nan() || root <= 0.0 {
+            return None;
+        }
+        u[i][..i].fill(0.0);
+        let per_root = 1.0 / root;
+        let row = u[i].map(|v| v * per_root);
+        u[i] = row;
+        for (below, v) in u.iter_mut().zip(row).skip(i + 1) {
+            add_scaled(simd, below, -v, &row);
+        }
+    }
+    Some(u)
+}
+
+/// Solves Uᵀ U x = b.
+#[inline(always)]
+fn solve<S: Simd>(simd: S, u: &Matrix, mut b: Row) -> Row {
+    for (i, row) in u.iter().enumerate() {
+        let v = b[i] / row[i];
+        add_scaled(simd, &mut b, -v, row);
+        b[i] = v;
+    }
+    for (i, row) in u.iter().enumerate().rev() {
+        let v = std::mem::take(&mut b[i]);
+        b[i] = (v - dot(row, &b)) / row[i];
+    }
+    b
 }
 
 #[cfg(test)]
@@ -182,7 +238,7 @@ mod tests {
     /// Distance of the tensor of these shares from the isotropic one.
     fn off(corners: &[Vec3; 8], shares: &[f64; SPRINGS]) -> f64 {
         let columns = PAIRS.map(|[a, b]| powers(&(corners[b] - corners[a]).normalize()));
-        missing(&columns, shares)
+        missing(pulp::Scalar::new(), &columns, shares)
             .iter()
             .map(|v| v * v)
             .sum::<f64>()
@@ -195,7 +251,7 @@ mod tests {
 
     #[test]
     fn cube_is_isotropic_with_its_own_shares() {
-        let shares = shares(&cube(), 0.5);
+        let shares = shares(pulp::Scalar::new(), &cube(), 0.5);
         assert_eq!(shares, PAIRS.map(|[a, b]| share(a, b)));
         assert!(off(&cube(), &shares) < 1e-12);
     }
@@ -207,7 +263,7 @@ mod tests {
         corners[2] += Vec3::new(-0.1, 0.1, 0.05);
         let off = |s| off(&corners, s);
         let plain = PAIRS.map(|[a, b]| share(a, b));
-        let fitted = shares(&corners, 0.1);
+        let fitted = shares(pulp::Scalar::new(), &corners, 0.1);
         assert!(
             off(&fitted) < 0.02 * off(&plain),
             "{} {}",
@@ -226,7 +282,7 @@ mod tests {
                 *corner += Vec3::new(moves[3 * c], moves[3 * c + 1], moves[3 * c + 2]);
             }
             let plain = PAIRS.map(|[a, b]| share(a, b));
-            let fitted = shares(&corners, 0.1);
+            let fitted = shares(pulp::Scalar::new(), &corners, 0.1);
             let off = |s| off(&corners, s);
             prop_assert!(off(&fitted) <= off(&plain) + 1e-9, "{} {}", off(&fitted), off(&plain));
             prop_assert!(fitted.iter().all(|s| *s > 0.0));

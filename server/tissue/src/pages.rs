@@ -1,20 +1,46 @@
-//! A vector in shared pages: a copy costs a pointer per page, and a change copies one page.
+//! A vector in shared pages: a copy costs a pointer per 16,384 items, and a change copies one page.
 
 use std::ops::{Index, IndexMut};
 use std::sync::Arc;
 
 /// Items per page.
 const PAGE: usize = 512;
+/// Pages per branch.
+const BRANCH: usize = 32;
 
-/// A vector whose copies share the pages that have not changed since.
+type Page<T> = Arc<Vec<T>>;
+
+/// A vector whose copies share the pages that have not changed since: a tree of two levels.
 #[derive(Debug, Clone)]
 pub(crate) struct Pages<T> {
-    /// All full but the last.
-    pages: Vec<Arc<Vec<T>>>,
+    /// Branches and pages are full but for the last.
+    branches: Vec<Arc<Vec<Page<T>>>>,
     len: usize,
 }
 
+impl<T> Default for Pages<T> {
+    fn default() -> Self {
+        Self {
+            branches: Vec::new(),
+            len: 0,
+        }
+    }
+}
+
 impl<T: Clone> Pages<T> {
+    /// Copies of one item, which share one page.
+    pub(crate) fn filled(item: T, len: usize) -> Self {
+        let rest = Arc::new(vec![item.clone(); len % PAGE]);
+        let full = Arc::new(vec![item; PAGE]);
+        let mut pages: Vec<Page<T>> = std::iter::repeat_n(full, len / PAGE).collect();
+        pages.extend((!rest.is_empty()).then_some(rest));
+        let branches = pages.chunks(BRANCH);
+        Self {
+            branches: branches.map(|branch| Arc::new(branch.to_vec())).collect(),
+            len,
+        }
+    }
+
     /// Number of items.
     pub(crate) fn len(&self) -> usize {
         self.len
@@ -22,29 +48,34 @@ impl<T: Clone> Pages<T> {
 
     /// Appends an item.
     pub(crate) fn push(&mut self, item: T) {
-        if self.len.is_multiple_of(PAGE) {
-            self.pages.push(Arc::new(Vec::with_capacity(PAGE)));
+        if self.len.is_multiple_of(PAGE * BRANCH) {
+            self.branches.push(Arc::default());
         }
-        if let Some(last) = self.pages.last_mut() {
-            Arc::make_mut(last).push(item);
+        if let Some(branch) = self.branches.last_mut().map(Arc::make_mut) {
+            if self.len.is_multiple_of(PAGE) {
+                branch.push(Arc::new(Vec::with_capacity(PAGE)));
+            }
+            if let Some(page) = branch.last_mut() {
+                Arc::make_mut(page).push(item);
+            }
         }
         self.len += 1;
     }
 
     /// The items in order.
     pub(crate) fn iter(&self) -> impl Iterator<Item = &T> + Clone {
-        self.pages.iter().flat_map(|page| page.iter())
+        let pages = self.branches.iter().flat_map(|branch| branch.iter());
+        pages.flat_map(|page| page.iter())
     }
 }
 
 impl<T: Clone> From<Vec<T>> for Pages<T> {
     fn from(items: Vec<T>) -> Self {
+        let page = |page: &[T]| Arc::new(page.to_vec());
+        let branch = |branch: &[T]| Arc::new(branch.chunks(PAGE).map(page).collect());
         Self {
             len: items.len(),
-            pages: items
-                .chunks(PAGE)
-                .map(|page| Arc::new(page.to_vec()))
-                .collect(),
+            branches: items.chunks(PAGE * BRANCH).map(branch).collect(),
         }
     }
 }
@@ -54,13 +85,14 @@ impl<T> Index<usize> for Pages<T> {
 
     #[inline]
     fn index(&self, at: usize) -> &T {
-        &self.pages[at / PAGE][at % PAGE]
+        &self.branches[at / (PAGE * BRANCH)][at / PAGE % BRANCH][at % PAGE]
     }
 }
 
 impl<T: Clone> IndexMut<usize> for Pages<T> {
     fn index_mut(&mut self, at: usize) -> &mut T {
-        &mut Arc::make_mut(&mut self.pages[at / PAGE])[at % PAGE]
+        let branch = Arc::make_mut(&mut self.branches[at / (PAGE * BRANCH)]);
+        &mut Arc::make_mut(&mut branch[at / PAGE % BRANCH])[at % PAGE]
     }
 }
 
@@ -88,7 +120,10 @@ mod tests {
     proptest! {
         #[test]
         fn copies_are_independent_vectors(
-            first in prop::collection::vec(any::<u8>(), PAGE - 5..PAGE + 5),
+            first in prop_oneof![
+                prop::collection::vec(any::<u8>(), PAGE - 5..PAGE + 5),
+                prop::collection::vec(any::<u8>(), PAGE * BRANCH - 5..PAGE * BRANCH + 5),
+            ],
             steps in prop::collection::vec(step(), 0..40),
         ) {
             let mut now = (Pages::from(first.clone()), first);
@@ -108,6 +143,8 @@ mod tests {
                 }
             }
             copies.push(now);
+            let filled = Pages::filled(7_u8, PAGE + 1);
+            prop_assert!(filled.iter().eq([7; PAGE + 1].iter()));
             for (pages, items) in copies {
                 prop_assert_eq!(pages.len(), items.len());
                 prop_assert!(pages.iter().eq(&items));

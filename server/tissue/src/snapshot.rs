@@ -72,7 +72,7 @@ pub fn snapshot(topology: &Topology, history: &CutHistory) -> Vec<u8> {
         })
         .collect();
     let boundary = topology.boundary();
-    let opened = topology.cut_index.opened.len();
+    let opened = topology.cut_index.opened;
     let mut out = Content::default();
     out.u64(history.uncut().hash().0);
     for count in [model.nodes.len(), model.cells.len()] {
@@ -157,7 +157,7 @@ fn restore_content(
     let mut changed = rewire(&mut topology, &mut reader, nodes, rewired)?;
     changed.extend(built as u32..nodes as u32);
     let faces = reader.steps32(opened)?;
-    let diagonals = reader.bytes(topology.boundary().faces.len() + opened)?;
+    let diagonals = reader.bytes(topology.exposed.faces.len() + opened)?;
     read_rest(&mut topology, &mut reader, &mut changed)?;
     let (done, undone) = read_strokes(&mut reader)?;
     if !reader.0.is_empty() {
@@ -305,20 +305,20 @@ fn reopen(topology: &mut Topology, faces: &[u32], diagonals: &[u8]) -> Result<()
         let id = FaceId(face);
         let is_known = (id.cell() as usize) < topology.cell_count();
         let cut = is_known.then(|| topology.cut[id.cell() as usize]);
-        let position = topology.boundary().faces.len() as u32;
-        let first = topology.cut_index.opened.insert(id, position).is_none();
-        if cut.is_none_or(|bits| bits >> id.face() & 1 == 0) || !first {
+        let position = topology.exposed.faces.len() as u32;
+        let is_cut = cut.is_some_and(|bits| bits >> id.face() & 1 == 1);
+        if !is_cut || !topology.cut_index.open(id, position) {
             return Err("lists an opened face that is not cut".into());
         }
-        topology.boundary_mut().faces.push(id);
+        topology.exposed_mut().faces.push(id);
     }
     if bits as usize != faces.len() {
         return Err("leaves out a face that is cut".into());
     }
-    let faces = topology.boundary().faces.iter().zip(diagonals);
-    let triangles = faces
-        .flat_map(|(&face, &along)| topology.split(face, along == 1))
+    let faces = topology.exposed.faces.iter().zip(diagonals);
+    let triangles: Vec<_> = faces
+        .map(|(&face, &along)| topology.split(face, along == 1))
         .collect();
-    topology.boundary_mut().triangles = triangles;
+    topology.exposed_mut().triangles = triangles.into();
     Ok(())
 }

@@ -6,7 +6,7 @@
 //! derived when asked for.
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
@@ -101,6 +101,13 @@ impl Boundary {
     }
 }
 
+/// The outer surface in pages: the exposed faces in the order of the [`Boundary`], and the two triangles of each.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Exposed {
+    pub(crate) faces: Pages<FaceId>,
+    pub(crate) triangles: Pages<[[u32; 3]; 2]>,
+}
+
 /// The mutable wiring of a [`Model`]. Copies share all that has not changed since.
 #[derive(Debug, Clone)]
 pub struct Topology {
@@ -120,7 +127,9 @@ pub struct Topology {
     built_volume: Arc<Vec<f64>>,
     pub(crate) mass: Pages<f64>,
     pub(crate) pinned: Pages<bool>,
-    boundary: Arc<Boundary>,
+    pub(crate) exposed: Exposed,
+    /// Made of them when first asked for.
+    boundary: OnceLock<Arc<Boundary>>,
     pub(crate) cut_index: crate::cut::CutIndex,
 }
 
@@ -158,8 +167,9 @@ impl Topology {
             cell_volume: cell_volume.into(),
             mass: vec![0.0; nodes].into(),
             pinned: vec![false; nodes].into(),
-            boundary: Arc::default(),
-            cut_index: crate::cut::CutIndex::default(),
+            exposed: Exposed::default(),
+            boundary: OnceLock::new(),
+            cut_index: crate::cut::CutIndex::new(model.cells.len()),
             model,
         };
         for node in 0..nodes as u32 {
@@ -234,14 +244,26 @@ impl Topology {
         self.pinned[node as usize]
     }
 
-    /// The outer surface, cut faces included.
+    /// The outer surface, cut faces included. The first call after a change copies all of it.
     pub fn boundary(&self) -> &Boundary {
-        &self.boundary
+        self.boundary.get_or_init(|| {
+            Arc::new(Boundary {
+                faces: self.exposed.faces.iter().copied().collect(),
+                triangles: self.exposed.triangles.iter().flatten().copied().collect(),
+            })
+        })
     }
 
     /// The outer surface, for a change.
-    pub(crate) fn boundary_mut(&mut self) -> &mut Boundary {
-        Arc::make_mut(&mut self.boundary)
+    pub(crate) fn exposed_mut(&mut self) -> &mut Exposed {
+        self.boundary = OnceLock::new();
+        &mut self.exposed
+    }
+
+    /// The nodes of a triangle of the outer surface.
+    #[inline]
+    pub(crate) fn triangle(&self, triangle: u32) -> [u32; 3] {
+        self.exposed.triangles[triangle as usize / 2][triangle as usize % 2]
     }
 
     /// Rest volume of a cell in m³.
@@ -275,23 +297,24 @@ impl Topology {
         }
     }
 
-    /// Updates the hash after a change that touched these nodes.
-    pub(crate) fn rehash(&mut self, before: &Hashed, touched: &[u32]) {
+    /// Updates the hash after a change of these nodes and of some of these cells.
+    pub(crate) fn rehash(&mut self, before: &Hashed, nodes: &BTreeSet<u32>, cells: &[u32]) {
         let mut sum = self.hash.0;
-        let mut cells = BTreeSet::new();
-        for &node in touched {
+        for &node in nodes {
             let n = node as usize;
             if n < before.rest.len() {
                 sum = sum.wrapping_sub(hash_of_node(node, &before.rest[n]));
             }
             sum = sum.wrapping_add(hash_of_node(node, &self.rest[n]));
-            cells.extend(self.node_cells[n].into_iter().filter(|&c| c != NO_CELL));
         }
-        for cell in cells {
+        for &cell in cells {
             let c = cell as usize;
-            let old = hash_of_cell(cell, &before.corners[c], before.cut[c]);
-            let new = hash_of_cell(cell, &self.corners[c], self.cut[c]);
-            sum = sum.wrapping_sub(old).wrapping_add(new);
+            let [old, new] = [(&before.corners, &before.cut), (&self.corners, &self.cut)]
+                .map(|(corners, cut)| (corners[c], cut[c]));
+            if old != new {
+                let [old, new] = [old, new].map(|(corners, cut)| hash_of_cell(cell, &corners, cut));
+                sum = sum.wrapping_sub(old).wrapping_add(new);
+            }
         }
         self.hash = TopologyHash(sum);
     }
@@ -316,38 +339,24 @@ impl Topology {
                 pinned |= region.pinned;
             }
         }
-        self.mass[node as usize] = mass;
-        self.pinned[node as usize] = pinned;
+        // A write copies a shared page.
+        if self.mass[node as usize] != mass {
+            self.mass[node as usize] = mass;
+        }
+        if self.pinned[node as usize] != pinned {
+            self.pinned[node as usize] = pinned;
+        }
     }
 
     /// The springs of a node, from the cells around it, sorted by their far end.
     pub fn springs_of(&self, node: u32) -> Vec<Spring> {
         let mut sums: Vec<(u32, f64)> = Vec::with_capacity(32);
-        let from = self.rest(node);
-        let floor = LENGTH_FLOOR * self.model.spacing_m;
-        for (corner, &cell) in self.node_cells[node as usize].iter().enumerate() {
-            if cell == NO_CELL {
-                continue;
+        self.visit_springs(node, |to, stiffness| {
+            match sums.iter_mut().find(|s| s.0 == to) {
+                Some(sum) => sum.1 += stiffness,
+                None => sums.push((to, stiffness)),
             }
-            let elastic = self.elastic(cell);
-            let energy = elastic.spring_pa * self.cell_volume[cell as usize].max(0.0);
-            // 1, 2, 4 lead along an edge, 3, 5, 6 across a face, 7 through the body.
-            for step in [1_usize, 2, 4, 3, 5, 6, 7] {
-                let to = self.corners[cell as usize][corner ^ step];
-                let share = match step.count_ones() {
-                    1 => EDGE_SHARE,
-                    2 => DIAGONAL_SHARE,
-                    _ => BODY_SHARE,
-                };
-                let d = self.rest(to) - from;
-                let length = d.norm().max(floor);
-                let stiffness = share * energy * elastic.fibre_factor(&d) / (length * length);
-                match sums.iter_mut().find(|s| s.0 == to) {
-                    Some(sum) => sum.1 += stiffness,
-                    None => sums.push((to, stiffness)),
-                }
-            }
-        }
+        });
         sums.sort_unstable_by_key(|s| s.0);
         sums.into_iter()
             .map(|(to, stiffness)| Spring {
@@ -355,6 +364,39 @@ impl Topology {
                 stiffness: stiffness as f32,
             })
             .collect()
+    }
+
+    /// Sum of the stiffness of the springs of a node in N/m.
+    pub(crate) fn stiffness_around(&self, node: u32) -> f64 {
+        let mut sum = 0.0;
+        self.visit_springs(node, |_, stiffness| sum += stiffness);
+        sum
+    }
+
+    /// Visits the springs of each cell around a node: the far end and the stiffness in N/m.
+    fn visit_springs(&self, node: u32, mut visit: impl FnMut(u32, f64)) {
+        let from = self.rest(node);
+        let floor = (LENGTH_FLOOR * self.model.spacing_m).powi(2);
+        for (corner, &cell) in self.node_cells[node as usize].iter().enumerate() {
+            if cell == NO_CELL {
+                continue;
+            }
+            let elastic = self.elastic(cell);
+            let energy = elastic.spring_pa * self.cell_volume[cell as usize].max(0.0);
+            let corners = self.corners[cell as usize];
+            // 1, 2, 4 lead along an edge, 3, 5, 6 across a face, 7 through the body.
+            for step in [1_usize, 2, 4, 3, 5, 6, 7] {
+                let to = corners[corner ^ step];
+                let share = match step.count_ones() {
+                    1 => EDGE_SHARE,
+                    2 => DIAGONAL_SHARE,
+                    _ => BODY_SHARE,
+                };
+                let d = self.rest(to) - from;
+                let square = d.norm_squared().max(floor);
+                visit(to, share * energy * elastic.fibre_factor(&d) / square);
+            }
+        }
     }
 
     /// Collects the exposed faces of all cells into the boundary.
@@ -370,7 +412,11 @@ impl Topology {
             }
         }
         crate::cut_model::part_diagonals(&mut boundary);
-        self.boundary = Arc::new(boundary);
+        let pairs = boundary.triangles.chunks_exact(2);
+        self.exposed = Exposed {
+            triangles: pairs.map(|t| [t[0], t[1]]).collect::<Vec<_>>().into(),
+            faces: boundary.faces.into(),
+        };
     }
 
     /// Splits a face along its shorter diagonal at rest.

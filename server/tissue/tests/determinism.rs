@@ -11,11 +11,11 @@ use strokes::random_stroke::{pieces, random_stroke};
 
 /// Hash of a press into a block of 14 thousand cells with a volume term and stiffening springs. It changes only
 /// with the force law or the solver, and then on every machine.
-const GOLDEN: u64 = 0xe9c6_d62d_6511_b036;
+const GOLDEN: u64 = 0x7951_b513_6618_550b;
 
 /// Hashes of the topology after random strokes in parts, an undo and a redo, and of the shape under a ball. They change
 /// only with the rules of cuts or the solver.
-const GOLDEN_CUT: [u64; 2] = [0x33ad_daa7_d248_2473, 0x0e6d_66b9_9879_df02];
+const GOLDEN_CUT: [u64; 2] = [0x33ad_daa7_d248_2473, 0x5243_8219_6b6e_9f39];
 
 fn press(threads: usize) -> u64 {
     let material = Material {

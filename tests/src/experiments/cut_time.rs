@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use palpate_client::realtime::worked;
 use palpate_tissue::{BladePoint, Budget, CutError, CutStroke, Tissue, Tool, Vec3};
+use rayon::ThreadPoolBuilder;
 use serde::Serialize;
 use serde_json::json;
 
@@ -158,8 +159,19 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     })
 }
 
-/// Nodes of the block before the cut, and the samples.
+/// [`samples`] on a thread whose parallel loops stay on it, like those of a cut thread.
 fn measure(cells: usize, count: usize) -> Result<(usize, Vec<Sample>), String> {
+    let alone = || {
+        let pool = ThreadPoolBuilder::new().num_threads(1).use_current_thread();
+        let _pool = pool.build().map_err(|e| e.to_string())?;
+        samples(cells, count)
+    };
+    let measured = std::thread::scope(|scope| scope.spawn(alone).join());
+    measured.map_err(|_| "the measuring thread has panicked".to_owned())?
+}
+
+/// Nodes of the block before the cut, and the samples.
+fn samples(cells: usize, count: usize) -> Result<(usize, Vec<Sample>), String> {
     let model = Arc::new(soft_block([cells; 3], SPACING_M));
     let nodes = model.nodes.len();
     let side = cells as f64 * SPACING_M;

@@ -103,7 +103,7 @@ pub(super) fn sample(
         let Some(normal) = area_normal(&corners).try_normalize(1e-30) else {
             continue;
         };
-        let nodes = surface.topology.boundary().triangles[triangle as usize];
+        let nodes = surface.topology.triangle(triangle);
         let rest = nodes.map(|n| surface.topology.rest(n));
         for &weights in of_triangle {
             let inwards = outwards.as_ref().map_or_else(Vec3::zeros, |outwards| {

@@ -5,9 +5,8 @@ use super::contact_sample::{Sample, depth, sample};
 use super::line_search::{LineSearch, Row};
 use super::proxy::Proxy;
 use super::surface::{Foot, Surface, blend};
-use super::surface_index::SurfaceIndex;
+use super::surface_index::{SurfaceChange, SurfaceIndex};
 use super::{TOOLS_MAX, Tool};
-use crate::cut::CutOutcome;
 use crate::equilibrium::{Disabled, Mechanism, laid_out};
 use crate::{Topology, Vec3};
 
@@ -49,9 +48,9 @@ impl Contacts {
     }
 
     /// Follows a cut.
-    pub(crate) fn follow(&mut self, topology: &Topology, outcome: &CutOutcome) {
+    pub(crate) fn follow(&mut self, topology: &Topology, change: &SurfaceChange) {
         self.place.resize(topology.node_count(), NONE);
-        self.index.follow(topology, outcome);
+        self.index.follow(topology, change);
     }
 
     /// Sets the tools of a step. Returns whether any tool changed.

@@ -16,8 +16,7 @@ pub(super) struct Outwards {
 impl Outwards {
     /// Directions at the nodes of these triangles.
     pub(super) fn around(surface: &Surface<'_>, triangles: &[u32]) -> Self {
-        let all = &surface.topology.boundary().triangles;
-        let nodes_of = |t: &u32| all[*t as usize];
+        let nodes_of = |t: &u32| surface.topology.triangle(*t);
         let sorted = |mut nodes: Vec<u32>| {
             nodes.sort_unstable();
             nodes.dedup();

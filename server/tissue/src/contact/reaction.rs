@@ -184,7 +184,7 @@ impl Contacts {
             nearest = Some(nearest.map_or(depth, |d| d.max(depth)));
             let amount = sample.stiffness * depth;
             if amount > 0.0 {
-                let face = topology.boundary().faces[sample.triangle as usize / 2];
+                let face = topology.exposed.faces[sample.triangle as usize / 2];
                 let material = topology.model().material_of(face.cell() as usize);
                 samples.push(PressedSample {
                     place: patch_index(on_core, parts),

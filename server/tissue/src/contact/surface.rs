@@ -26,7 +26,7 @@ pub(crate) struct Foot {
 
 impl Surface<'_> {
     pub(crate) fn corners(&self, triangle: u32) -> [Vec3; 3] {
-        let nodes = self.topology.boundary().triangles[triangle as usize];
+        let nodes = self.topology.triangle(triangle);
         match self.u {
             Some(u) => nodes.map(|n| self.topology.rest(n) + u[n as usize]),
             None => nodes.map(|n| self.topology.rest(n)),
@@ -70,7 +70,7 @@ impl Surface<'_> {
         let corners = self.corners(triangle);
         let weights = nearest_weights(&corners, &centre);
         let at = blend(&corners, &weights);
-        let nodes = self.topology.boundary().triangles[triangle as usize];
+        let nodes = self.topology.triangle(triangle);
         let normals = nodes.map(|node| {
             let around = self.index.around(node).iter();
             let sum: Vec3 = around.map(|&t| area_normal(&self.corners(t))).sum();

@@ -18,8 +18,6 @@
 //!
 //! Memory: about 150 bytes per triangle and 8 per node; growth after cuts may double that.
 
-use std::collections::BTreeSet;
-
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::math::Vector;
 use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode, TraversalAction};
@@ -38,11 +36,45 @@ const NONE: u32 = u32::MAX;
 
 /// Triangles of the surface around each node, in the order of their numbers.
 fn node_triangles(topology: &Topology) -> Rows<u32> {
-    let triangles = topology.boundary().triangles.iter().zip(0..);
+    let triangles = topology.exposed.triangles.iter().flatten().zip(0..);
     let pairs = triangles.flat_map(|(nodes, t)| nodes.map(|node| (node, t)));
     let mut rows = Rows::new(topology.node_count(), pairs);
     rows.reserve();
     rows
+}
+
+/// The surface around a cut, computed once for all indices of the topology.
+#[derive(Default)]
+pub(crate) struct SurfaceChange {
+    /// Triangles around nodes, in the order of their numbers.
+    around: Vec<(u32, Vec<u32>)>,
+    /// Boxes of triangles at rest, sorted.
+    boxes: Vec<(u32, Aabb)>,
+}
+
+impl SurfaceChange {
+    /// The change of a cut that made `topology`.
+    pub(crate) fn of(topology: &Topology, outcome: &CutOutcome) -> Self {
+        let mut change = Self::default();
+        let mut near = Vec::new();
+        for &node in &outcome.touched {
+            let faces = topology.exposed_faces(node);
+            let own = faces.flat_map(|position| [2 * position as u32, 2 * position as u32 + 1]);
+            let mut own: Vec<u32> = own.collect();
+            near.extend_from_slice(&own);
+            own.retain(|&t| topology.triangle(t).contains(&node));
+            own.sort_unstable();
+            own.dedup();
+            if !own.is_empty() {
+                change.around.push((node, own));
+            }
+        }
+        near.sort_unstable();
+        near.dedup();
+        let with_box = |t: u32| (t, rest_box(topology, &topology.triangle(t)));
+        change.boxes = near.into_iter().map(with_box).collect();
+        change
+    }
 }
 
 #[derive(Clone)]
@@ -58,8 +90,8 @@ pub(crate) struct SurfaceIndex {
 
 impl SurfaceIndex {
     pub(crate) fn new(topology: &Topology) -> Self {
-        let triangles = &topology.boundary().triangles;
-        let boxes = triangles.iter().map(|t| rest_box(topology, t)).enumerate();
+        let triangles = topology.exposed.triangles.iter().flatten();
+        let boxes = triangles.map(|t| rest_box(topology, t)).enumerate();
         Self {
             tree: Bvh::from_iter(BvhBuildStrategy::Binned, boxes),
             node_triangles: node_triangles(topology),
@@ -70,21 +102,12 @@ impl SurfaceIndex {
     }
 
     /// Follows a cut: refits the boxes of changed triangles and inserts new ones.
-    pub(crate) fn follow(&mut self, topology: &Topology, outcome: &CutOutcome) {
-        let triangles = &topology.boundary().triangles;
-        let mut near = BTreeSet::new();
-        for &node in &outcome.touched {
-            let faces = topology.exposed_faces(node);
-            let own = faces.flat_map(|position| [2 * position as u32, 2 * position as u32 + 1]);
-            let own: BTreeSet<u32> = own.collect();
-            let has_node = |t: &u32| triangles[*t as usize].contains(&node);
-            let row: Vec<u32> = own.iter().copied().filter(has_node).collect();
-            self.node_triangles.set(node, &row);
-            near.extend(own);
+    pub(crate) fn follow(&mut self, topology: &Topology, change: &SurfaceChange) {
+        for (node, row) in &change.around {
+            self.node_triangles.set(*node, row);
         }
-        let mut changed = Vec::new();
-        for t in near {
-            let new = rest_box(topology, &triangles[t as usize]);
+        let mut changed = Vec::with_capacity(change.boxes.len());
+        for &(t, new) in &change.boxes {
             if self.tree.leaf_node(t).map(BvhNode::aabb) != Some(new) {
                 self.tree.insert(new, t);
                 changed.push(t);

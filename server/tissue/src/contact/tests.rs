@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use super::ball::Ball;
 use super::contact_sample::weights_of;
 use super::surface::{Surface, area_normal, blend, nearest_weights};
-use super::surface_index::{SurfaceIndex, box_of};
+use super::surface_index::{SurfaceChange, SurfaceIndex, box_of};
 use super::{Contacts, Form, POINT_RADIUS, Tool};
 use crate::{BladePoint, CutStroke, Material, Topology, Vec3, block, cut};
 
@@ -131,7 +131,7 @@ proptest! {
                     let stroke = CutStroke { points: vec![point(from), point(to)], width_m: 0.0 };
                     if let Ok(outcome) = cut(&mut topology, &stroke) {
                         u.resize(topology.node_count(), Vec3::zeros());
-                        index.follow(&topology, &outcome);
+                        index.follow(&topology, &SurfaceChange::of(&topology, &outcome));
                     }
                 }
                 Event::Search(balls) => {

@@ -79,7 +79,7 @@ impl Watched {
         let mut listed: Vec<usize> = Vec::new();
         for (g, group) in triangles.chunks(GROUP).enumerate() {
             for &t in group {
-                let corners = topology.boundary().triangles[t as usize].map(|n| self.enlist(n));
+                let corners = topology.triangle(t).map(|n| self.enlist(n));
                 listed.resize(self.nodes.len(), usize::MAX);
                 for corner in corners {
                     if std::mem::replace(&mut listed[corner as usize], g) != g {

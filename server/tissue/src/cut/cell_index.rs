@@ -3,81 +3,101 @@
 //! Cells are stored by the bucket of their centre in the model as built. Cuts move nodes by less than
 //! [`super::DRIFT_MAX`] spacings in total, so the buckets never change; searches are widened by that bound.
 
-use std::collections::BTreeMap;
+use std::cmp::Ordering;
 use std::sync::{Arc, OnceLock};
 
+use super::ribbon::Ribbon;
 use crate::cell::NO_CELL;
+use crate::pages::Pages;
 use crate::{FaceId, Model, Topology, Vec3};
 
 /// Side of a bucket in spacings: 64 cells in each.
-pub(crate) const BUCKET: f64 = 4.0;
+const BUCKET: f64 = 4.0;
 
 /// Number of a bucket along each axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Key([i32; 3]);
+struct Key([i32; 3]);
 
 impl Key {
-    pub(crate) fn of(p: &Vec3, side: f64) -> Self {
+    fn of(p: &Vec3, side: f64) -> Self {
         Self(std::array::from_fn(|a| (p[a] / side).floor() as i32))
+    }
+
+    /// All buckets of a box, from its lowest to its highest.
+    fn to(self, high: Self) -> impl Iterator<Item = Self> {
+        let [x, y, z] = [0, 1, 2].map(|a| self.0[a]..=high.0[a]);
+        x.flat_map(move |x| {
+            let z = z.clone();
+            y.clone()
+                .flat_map(move |y| z.clone().map(move |z| Self([x, y, z])))
+        })
+    }
+
+    /// The middle of the bucket.
+    fn middle(self, side: f64) -> Vec3 {
+        Vec3::from(self.0.map(|v| (f64::from(v) + 0.5) * side))
     }
 }
 
-/// All buckets within `reach` spacings of a triangle (and some more), sorted.
-pub(crate) fn keys_of_triangle(points: &[Vec3; 3], spacing: f64, reach: f64) -> Vec<Key> {
-    let [a, b, c] = points;
-    // Steps of half a bucket; a point of the triangle is then within one step of a sample.
-    let step = BUCKET * spacing / 2.0;
-    let count = |edge: Vec3| (edge.norm() / step).ceil().max(1.0) as usize;
-    let (across, along) = (count(b - a), count(c - a));
-    let around = Vec3::repeat((reach + BUCKET / 2.0) * spacing);
-    let side = BUCKET * spacing;
-    let mut keys = Vec::new();
-    let mut tidy_at = 1 << 16;
-    for i in 0..=across {
-        for j in (0..=along).take_while(|j| i * along + j * across <= across * along) {
-            let p = a + (b - a) * (i as f64 / across as f64) + (c - a) * (j as f64 / along as f64);
-            let (low, high) = (Key::of(&(p - around), side), Key::of(&(p + around), side));
-            for x in low.0[0]..=high.0[0] {
-                for y in low.0[1]..=high.0[1] {
-                    keys.extend((low.0[2]..=high.0[2]).map(|z| Key([x, y, z])));
-                }
-            }
-        }
-        if keys.len() > tidy_at {
-            keys.sort_unstable();
-            keys.dedup();
-            tidy_at = tidy_at.max(2 * keys.len());
-        }
-    }
-    keys.sort_unstable();
-    keys.dedup();
-    keys
+/// A cell in its bucket.
+#[derive(Debug)]
+struct Entry {
+    key: Key,
+    cell: u32,
+    /// Its centre as built.
+    centre: [f32; 3],
 }
 
 /// The cells of a model by bucket.
 #[derive(Debug)]
 pub(crate) struct CellIndex {
     side: f64,
-    entries: Vec<(Key, u32)>,
+    entries: Vec<Entry>,
 }
 
 impl CellIndex {
     fn new(model: &Model) -> Self {
         let side = BUCKET * model.spacing_m;
-        let mut entries: Vec<(Key, u32)> = (0..model.cells.len())
-            .map(|cell| (Key::of(&centre(&model.corners_of(cell)), side), cell as u32))
-            .collect();
-        entries.sort_unstable();
+        let entry = |cell: usize| {
+            let centre = centre(&model.corners_of(cell));
+            Entry {
+                key: Key::of(&centre, side),
+                cell: cell as u32,
+                centre: [0, 1, 2].map(|a| centre[a] as f32),
+            }
+        };
+        let mut entries: Vec<Entry> = (0..model.cells.len()).map(entry).collect();
+        entries.sort_unstable_by_key(|e| (e.key, e.cell));
         Self { side, entries }
     }
 
-    /// The cells in a bucket.
-    pub(crate) fn cells(&self, key: Key) -> impl Iterator<Item = u32> + '_ {
-        let start = self.entries.partition_point(|e| e.0 < key);
+    fn bucket(&self, key: Key) -> impl Iterator<Item = &Entry> {
+        let start = self.entries.partition_point(|e| e.key < key);
         self.entries[start..]
             .iter()
-            .take_while(move |e| e.0 == key)
-            .map(|e| e.1)
+            .take_while(move |e| e.key == key)
+    }
+
+    /// The cells whose centre, as built, may be nearer to a surface than a distance; all that are.
+    pub(crate) fn cells_around(&self, ribbon: &Ribbon, distance: f64) -> Vec<u32> {
+        let mut keys = Vec::new();
+        for (bounds, triangles) in ribbon.parts() {
+            let around = Vec3::repeat(distance);
+            let low = Key::of(&(bounds.low - around), self.side);
+            let high = Key::of(&(bounds.high + around), self.side);
+            // A bucket is within half its diagonal of its centre.
+            let reach = distance + 0.5 * f64::sqrt(3.0) * self.side;
+            let all = low.to(high).filter(|key| {
+                let middle = key.middle(self.side);
+                triangles.iter().any(|t| t.height(&middle).abs() < reach)
+            });
+            keys.extend(all);
+        }
+        keys.sort_unstable();
+        keys.dedup();
+        let cells = keys.into_iter().flat_map(|key| self.bucket(key));
+        let is_near = |e: &&Entry| ribbon.may_reach(&Vec3::from(e.centre.map(f64::from)), distance);
+        cells.filter(is_near).map(|e| e.cell).collect()
     }
 
     /// The cells in the 27 buckets around a point.
@@ -85,7 +105,8 @@ impl CellIndex {
         let Key([x, y, z]) = Key::of(p, self.side);
         (0..27).flat_map(move |i| {
             let near = |v: i32, step: i32| v.saturating_add(step - 1);
-            self.cells(Key([near(x, i % 3), near(y, i / 3 % 3), near(z, i / 9)]))
+            let key = Key([near(x, i % 3), near(y, i / 3 % 3), near(z, i / 9)]);
+            self.bucket(key).map(|e| e.cell)
         })
     }
 }
@@ -96,11 +117,34 @@ pub(crate) fn centre(corners: &[Vec3; 8]) -> Vec3 {
 }
 
 /// Derived data that make cuts cheap; not part of the state.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(crate) struct CutIndex {
     cells: OnceLock<Arc<CellIndex>>,
-    /// Position in the boundary of each face laid open by a cut.
-    pub(crate) opened: BTreeMap<FaceId, u32>,
+    /// Position in the boundary of each face of a cell laid open by a cut, or [`CLOSED`].
+    positions: Pages<[u32; 6]>,
+    /// Number of faces laid open by cuts.
+    pub(crate) opened: usize,
+}
+
+const CLOSED: u32 = u32::MAX;
+
+impl CutIndex {
+    /// No cuts.
+    pub(crate) fn new(cells: usize) -> Self {
+        Self {
+            cells: OnceLock::new(),
+            positions: Pages::filled([CLOSED; 6], cells),
+            opened: 0,
+        }
+    }
+
+    /// Adds a face laid open by a cut. Returns whether it is new.
+    pub(crate) fn open(&mut self, face: FaceId, position: u32) -> bool {
+        let known = &mut self.positions[face.cell() as usize][face.face()];
+        let is_new = std::mem::replace(known, position) == CLOSED;
+        self.opened += usize::from(is_new);
+        is_new
+    }
 }
 
 impl Topology {
@@ -121,12 +165,22 @@ impl Topology {
     }
 
     pub(crate) fn boundary_position(&self, face: FaceId) -> Option<usize> {
-        if let Some(&position) = self.cut_index.opened.get(&face) {
+        let position = self.cut_index.positions[face.cell() as usize][face.face()];
+        if position != CLOSED {
             return Some(position as usize);
         }
         // Those of the model as built are in order.
-        let built = self.boundary().faces.len() - self.cut_index.opened.len();
-        self.boundary().faces[..built].binary_search(&face).ok()
+        let faces = &self.exposed.faces;
+        let (mut low, mut high) = (0, faces.len() - self.cut_index.opened);
+        while low < high {
+            let middle = low.midpoint(high);
+            match faces[middle].cmp(&face) {
+                Ordering::Less => low = middle + 1,
+                Ordering::Equal => return Some(middle),
+                Ordering::Greater => high = middle,
+            }
+        }
+        None
     }
 
     /// Centre of a cell at rest.

@@ -66,7 +66,7 @@ pub use to_rest::{RestPoint, to_rest};
 pub use width::REST_WIDTH_MAX;
 
 use crate::limits::NODES_MAX;
-use crate::{RegionId, Topology};
+use crate::{FaceId, RegionId, Topology};
 use bounded_moves::Moves;
 use freedom::Freedom;
 use patch::Patch;
@@ -113,6 +113,8 @@ pub struct CutOutcome {
     pub moved: Vec<Moved>,
     /// All nodes whose rest position, springs or mass may have changed, sorted; new ones included.
     pub touched: Vec<u32>,
+    /// Cells with a corner that moved or was doubled, sorted.
+    pub reshaped: Vec<u32>,
     /// Faces between cells that it opened; each added two faces to the boundary.
     pub faces_opened: usize,
     /// Nodes of the sheet that lie on the swept surface.
@@ -140,6 +142,7 @@ impl CutOutcome {
             doubled,
             moved: Vec::new(),
             touched: Vec::new(),
+            reshaped: Vec::new(),
             faces_opened: 0,
             nodes_snapped: 0,
             nodes_short: 0,
@@ -151,50 +154,70 @@ impl CutOutcome {
 
 /// Cuts a topology with a stroke. On an error the topology is untouched.
 pub fn cut(topology: &mut Topology, stroke: &CutStroke) -> Result<CutOutcome, CutError> {
-    let spacing = topology.model.spacing_m;
-    stroke.check(spacing)?;
-    let crossed = sheet::crossed(topology, &Ribbon::swept(&stroke.points, spacing))?;
-    let sheet = sheet::sheet(topology, crossed);
-    if sheet.is_empty() {
-        return Err(CutError::NothingNew);
-    }
-    let mut nodes = sheet_snap::sheet_nodes(topology, &sheet);
-    // A node has at most eight cells, so it makes at most seven more nodes.
-    if topology.node_count() + 7 * nodes.len() > NODES_MAX + NODES_MAX / 4 {
-        return Err(CutError::Rejected(format!(
-            "the model has {NODES_MAX} nodes, and a cut would need more; no further cut is possible"
-        )));
+    let plan = Plan::of(topology, stroke)?;
+    Ok(plan.apply(topology, stroke))
+}
+
+/// A cut that parts something.
+pub(crate) struct Plan {
+    /// The faces that it opens.
+    sheet: Vec<FaceId>,
+    nodes: Vec<SheetNode>,
+}
+
+impl Plan {
+    /// What a stroke parts.
+    pub(crate) fn of(topology: &Topology, stroke: &CutStroke) -> Result<Self, CutError> {
+        let spacing = topology.model.spacing_m;
+        stroke.check(spacing)?;
+        let crossed = sheet::crossed(topology, &Ribbon::swept(&stroke.points, spacing))?;
+        let sheet = sheet::sheet(topology, crossed);
+        if sheet.is_empty() {
+            return Err(CutError::NothingNew);
+        }
+        let nodes = sheet_snap::sheet_nodes(topology, &sheet);
+        // A node has at most eight cells, so it makes at most seven more nodes.
+        if topology.node_count() + 7 * nodes.len() > NODES_MAX + NODES_MAX / 4 {
+            return Err(CutError::Rejected(format!(
+                "the model has {NODES_MAX} nodes, and a cut would need more; no further cut is possible"
+            )));
+        }
+        Ok(Self { sheet, nodes })
     }
 
-    // All checks are done; nothing fails from here on.
-    let before = topology.hashed();
-    let ribbon = Ribbon::continued(&stroke.points, spacing);
-    let (moved, mut changed) = settle(topology, &ribbon, &mut nodes);
-    let doubled = part::double(topology, &sheet);
-    part::open(topology, &sheet, &doubled);
-    changed.extend(width::widen(topology, stroke, &ribbon, &doubled));
-    changed.extend(doubled.iter().flat_map(|d| [d.0, d.1]));
-    let touched = derive_around(topology, &changed);
-    topology.rehash(&before, &touched);
-    topology.version += 1;
+    /// Cuts the topology that the plan was made for.
+    pub(crate) fn apply(self, topology: &mut Topology, stroke: &CutStroke) -> CutOutcome {
+        let Self { sheet, mut nodes } = self;
+        let before = topology.hashed();
+        let ribbon = Ribbon::continued(&stroke.points, topology.model.spacing_m);
+        let (moved, mut changed) = settle(topology, &ribbon, &mut nodes);
+        let doubled = part::double(topology, &sheet);
+        part::open(topology, &sheet, &doubled);
+        changed.extend(width::widen(topology, stroke, &ribbon, &doubled));
+        changed.extend(doubled.iter().flat_map(|d| [d.0, d.1]));
+        let around = derive_around(topology, &changed);
+        topology.rehash(&before, &changed, &around.cells);
+        topology.version += 1;
 
-    let mut around: Vec<u32> = nodes.iter().map(|n| n.node).collect();
-    around.extend(doubled.iter().map(|d| d.0));
-    let loose = nodes.iter().filter(|n| n.freedom != Freedom::Pinned);
-    let nodes_short = loose.clone().filter(|n| n.short).count();
-    let sides = sheet.iter().flat_map(|&f| [f, topology.behind(f)]);
-    let regions: BTreeSet<RegionId> = sides.map(|f| topology.region(f.cell())).collect();
-    Ok(CutOutcome {
-        version: topology.version,
-        moved,
-        touched,
-        faces_opened: sheet.len(),
-        nodes_snapped: loose.count() - nodes_short,
-        nodes_short,
-        components_near: topology.components_among(&around),
-        regions_cut: regions.into_iter().collect(),
-        doubled,
-    })
+        let mut at_sheet: Vec<u32> = nodes.iter().map(|n| n.node).collect();
+        at_sheet.extend(doubled.iter().map(|d| d.0));
+        let loose = nodes.iter().filter(|n| n.freedom != Freedom::Pinned);
+        let nodes_short = loose.clone().filter(|n| n.short).count();
+        let sides = sheet.iter().flat_map(|&f| [f, topology.behind(f)]);
+        let regions: BTreeSet<RegionId> = sides.map(|f| topology.region(f.cell())).collect();
+        CutOutcome {
+            version: topology.version,
+            moved,
+            touched: around.nodes,
+            reshaped: around.cells,
+            faces_opened: sheet.len(),
+            nodes_snapped: loose.count() - nodes_short,
+            nodes_short,
+            components_near: topology.components_among(&at_sheet),
+            regions_cut: regions.into_iter().collect(),
+            doubled,
+        }
+    }
 }
 
 /// Moves the nodes of the sheet onto the ribbon and the nodes around along; no node is doubled yet.

@@ -48,11 +48,9 @@ pub(crate) fn open(topology: &mut Topology, sheet: &[FaceId], doubled: &[(u32, u
             for axis in 0..3 {
                 let face = FaceId::new(cell, 2 * axis + (slot >> axis & 1));
                 if let Some(position) = topology.boundary_position(face) {
-                    let pair = 2 * position..2 * position + 2;
-                    let [first, second] =
-                        [0, 1].map(|i| topology.boundary().triangles[pair.start + i]);
+                    let [first, second] = topology.exposed.triangles[position];
                     let triangles = topology.split(face, first[0] == second[0]);
-                    topology.boundary_mut().triangles[pair].copy_from_slice(&triangles);
+                    topology.exposed_mut().triangles[position] = triangles;
                 }
             }
         }
@@ -62,33 +60,41 @@ pub(crate) fn open(topology: &mut Topology, sheet: &[FaceId], doubled: &[(u32, u
         let along = topology.parted_diagonal(face);
         for (side, along) in [(face, along), (behind, topology.mirrored(face, along))] {
             topology.cut[side.cell() as usize] |= 1 << side.face();
-            let position = topology.boundary().faces.len() as u32;
+            let position = topology.exposed.faces.len() as u32;
             let triangles = topology.split(side, along);
-            topology.boundary_mut().faces.push(side);
-            topology.boundary_mut().triangles.extend(triangles);
-            topology.cut_index.opened.insert(side, position);
+            topology.exposed_mut().faces.push(side);
+            topology.exposed_mut().triangles.push(triangles);
+            topology.cut_index.open(side, position);
         }
     }
 }
 
-/// Volumes, masses and pins around nodes that moved or were doubled. Gives all nodes whose
-/// rest position, springs or mass may have changed, sorted.
-pub(crate) fn derive_around(topology: &mut Topology, changed: &BTreeSet<u32>) -> Vec<u32> {
-    let mut cells = BTreeSet::new();
-    for &node in changed {
-        let around = topology.node_cells[node as usize];
-        cells.extend(around.into_iter().filter(|&c| c != NO_CELL));
-    }
-    let mut touched = changed.clone();
+/// What a change of nodes changes around them.
+pub(crate) struct Around {
+    /// Cells with a changed corner, sorted.
+    pub(crate) cells: Vec<u32>,
+    /// All nodes whose rest position, springs or mass may have changed, sorted.
+    pub(crate) nodes: Vec<u32>,
+}
+
+/// Updates volumes, masses and pins around nodes that moved or were doubled.
+pub(crate) fn derive_around(topology: &mut Topology, changed: &BTreeSet<u32>) -> Around {
+    let around = changed.iter().flat_map(|&node| topology.cells_around(node));
+    let mut cells: Vec<u32> = around.filter(|&cell| cell != NO_CELL).collect();
+    cells.sort_unstable();
+    cells.dedup();
+    let mut nodes: Vec<u32> = changed.iter().copied().collect();
     for &cell in &cells {
         let corners = topology.corners(cell);
         topology.cell_volume[cell as usize] = cell_volume(&corners.map(|n| topology.rest(n)));
-        touched.extend(corners);
+        nodes.extend(corners);
     }
-    for &node in &touched {
+    nodes.sort_unstable();
+    nodes.dedup();
+    for &node in changed {
         topology.derive_node(node);
     }
-    touched.into_iter().collect()
+    Around { cells, nodes }
 }
 
 impl Topology {

@@ -9,9 +9,6 @@ use std::ops::Range;
 
 use robust::{Coord3D, orient3d};
 
-use super::DRIFT_MAX;
-use super::cell_index::{BUCKET, Key, keys_of_triangle};
-use super::sheet::SEGMENT_MAX;
 use super::stroke::BladePoint;
 use crate::Vec3;
 use crate::nearest::{Feature, nearest_feature};
@@ -19,9 +16,8 @@ use crate::nearest::{Feature, nearest_feature};
 /// How far the surface that nodes are snapped onto reaches beyond the blade's own, in spacings, so
 /// that a node off the end of the cut is drawn into its plane and not to its rim.
 const BEYOND: f64 = 3.0;
-/// How far from a triangle its bins reach, in spacings: any segment between centres of neighbours
-/// that crosses it begins nearer than that, and nodes farther away are not snapped.
-const REACH: f64 = SEGMENT_MAX + DRIFT_MAX;
+/// Farthest point with a foot on the surface, in spacings.
+const REACH: f64 = 4.5;
 
 /// A triangle of the ribbon.
 #[derive(Debug, Clone)]
@@ -35,18 +31,21 @@ pub(crate) struct Triangle {
     bounds: Bounds,
 }
 
-/// Triangles beside each other on a short part of the path.
+/// A node of a tree of boxes in the order of the path; its left child is the next node.
 #[derive(Debug)]
-pub(crate) struct Chunk {
-    pub(crate) bounds: Bounds,
+struct Node {
+    bounds: Bounds,
+    /// Triangles of a leaf: those beside each other on a short part of the path. Empty otherwise.
     triangles: Range<usize>,
+    /// The node after its subtree.
+    after: usize,
 }
 
 /// A box around points.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bounds {
-    low: Vec3,
-    high: Vec3,
+    pub(crate) low: Vec3,
+    pub(crate) high: Vec3,
 }
 
 impl Bounds {
@@ -65,7 +64,7 @@ impl Bounds {
     }
 
     /// Squared distance of a point from the box.
-    pub(crate) fn distance_squared(&self, p: &Vec3) -> f64 {
+    fn distance_squared(&self, p: &Vec3) -> f64 {
         let out = (self.low - p).sup(&(p - self.high));
         out.sup(&Vec3::zeros()).norm_squared()
     }
@@ -78,7 +77,7 @@ impl Bounds {
 
 impl Triangle {
     /// Whether a segment crosses it; see the file's head.
-    pub(crate) fn crosses(&self, p: &Vec3, q: &Vec3) -> bool {
+    fn crosses(&self, p: &Vec3, q: &Vec3) -> bool {
         if self.bounds.is_apart(p, q) {
             return false;
         }
@@ -153,9 +152,7 @@ pub(crate) struct Foot {
 #[derive(Debug)]
 pub(crate) struct Ribbon {
     triangles: Vec<Triangle>,
-    chunks: Vec<Chunk>,
-    /// Bucket and chunk, sorted: which triangles are near a place.
-    bins: Vec<(Key, u32)>,
+    tree: Vec<Node>,
     spacing: f64,
 }
 
@@ -206,62 +203,98 @@ impl Ribbon {
         }
         let mut ribbon = Self {
             triangles,
-            chunks: Vec::new(),
-            bins: Vec::new(),
+            tree: Vec::new(),
             spacing,
         };
-        ribbon.fill_bins();
+        let leaves = ribbon.leaves();
+        ribbon.push(&leaves);
         ribbon
     }
 
-    fn fill_bins(&mut self) {
+    /// Triangles beside each other, in order.
+    fn leaves(&self) -> Vec<Range<usize>> {
+        let mut leaves = Vec::new();
         let mut first = 0;
-        while first < self.triangles.len() {
-            let lead = &self.triangles[first];
+        while let Some(lead) = self.triangles.get(first) {
             let rest = &self.triangles[first + 1..];
             let others = rest.iter().take_while(|t| lead.is_beside(t, self.spacing));
-            let triangles = first..first + 1 + others.count();
-            let keys = keys_of_triangle(&lead.points, self.spacing, REACH + 1.0);
-            let chunk = self.chunks.len() as u32;
-            self.bins.extend(keys.into_iter().map(|k| (k, chunk)));
-            let all = &self.triangles[triangles.clone()];
-            first = triangles.end;
-            self.chunks.push(Chunk {
-                bounds: all
-                    .iter()
-                    .skip(1)
-                    .fold(all[0].bounds, |b, t| b.with(&t.bounds)),
-                triangles,
-            });
+            let end = first + 1 + others.count();
+            leaves.push(first..end);
+            first = end;
         }
-        self.bins.sort_unstable();
+        leaves
     }
 
-    /// The buckets near the surface, each with the chunks near it.
-    pub(crate) fn buckets(&self) -> impl Iterator<Item = (Key, impl Iterator<Item = &Chunk>)> {
-        let groups = self.bins.chunk_by(|a, b| a.0 == b.0);
-        groups.map(|group| {
-            let chunks = group.iter().map(|b| &self.chunks[b.1 as usize]);
-            (group[0].0, chunks)
+    /// Adds the tree over some leaves.
+    fn push(&mut self, leaves: &[Range<usize>]) {
+        let (Some(first), Some(last)) = (leaves.first(), leaves.last()) else {
+            return;
+        };
+        let at = self.tree.len();
+        let is_leaf = leaves.len() == 1;
+        self.tree.push(Node {
+            bounds: bounds_of(&self.triangles[first.start..last.end]),
+            triangles: if is_leaf { first.clone() } else { 0..0 },
+            after: at,
+        });
+        if !is_leaf {
+            let (front, back) = leaves.split_at(leaves.len() / 2);
+            self.push(front);
+            self.push(back);
+        }
+        self.tree[at].after = self.tree.len();
+    }
+
+    /// The leaves of the tree: a box and its triangles.
+    pub(crate) fn parts(&self) -> impl Iterator<Item = (&Bounds, &[Triangle])> {
+        let leaves = self.tree.iter().filter(|node| !node.triangles.is_empty());
+        leaves.map(|leaf| (&leaf.bounds, &self.triangles[leaf.triangles.clone()]))
+    }
+
+    /// Whether any triangle passes a test, among those in boxes that are to be entered.
+    fn any(
+        &self,
+        enters: impl Fn(&Bounds) -> bool,
+        mut test: impl FnMut(&Triangle) -> bool,
+    ) -> bool {
+        let mut at = 0;
+        while let Some(node) = self.tree.get(at) {
+            if !enters(&node.bounds) {
+                at = node.after;
+                continue;
+            }
+            if self.triangles[node.triangles.clone()].iter().any(&mut test) {
+                return true;
+            }
+            at += 1;
+        }
+        false
+    }
+
+    /// Whether a point may be nearer to the surface than a distance; `false` is certain.
+    pub(crate) fn may_reach(&self, p: &Vec3, distance: f64) -> bool {
+        let enters = |bounds: &Bounds| bounds.distance_squared(p) < distance * distance;
+        self.any(enters, |t| {
+            t.height(p).abs() < distance && enters(&t.bounds)
         })
     }
 
-    pub(crate) fn triangles(&self, chunk: &Chunk) -> &[Triangle] {
-        &self.triangles[chunk.triangles.clone()]
+    /// Whether a segment crosses the surface.
+    pub(crate) fn crosses(&self, p: &Vec3, q: &Vec3) -> bool {
+        self.any(|bounds| !bounds.is_apart(p, q), |t| t.crosses(p, q))
     }
 
     /// The point of the surface nearest to `p`, if it is near at all.
     pub(crate) fn nearest(&self, p: &Vec3) -> Option<Foot> {
-        let key = Key::of(p, BUCKET * self.spacing);
-        let start = self.bins.partition_point(|b| b.0 < key);
-        let mut best = f64::INFINITY;
+        let mut best = (REACH * self.spacing).powi(2);
         let mut nearest = None;
-        for &(_, chunk) in self.bins[start..].iter().take_while(|b| b.0 == key) {
-            let chunk = &self.chunks[chunk as usize];
-            if chunk.bounds.distance_squared(p) >= best {
+        let mut at = 0;
+        while let Some(node) = self.tree.get(at) {
+            if node.bounds.distance_squared(p) >= best {
+                at = node.after;
                 continue;
             }
-            for triangle in self.triangles(chunk) {
+            for triangle in &self.triangles[node.triangles.clone()] {
                 let bound = triangle.bounds.distance_squared(p);
                 if bound.max(triangle.height(p).powi(2)) >= best {
                     continue;
@@ -277,7 +310,49 @@ impl Ribbon {
                     });
                 }
             }
+            at += 1;
         }
         nearest
+    }
+}
+
+/// The box around triangles.
+fn bounds_of(triangles: &[Triangle]) -> Bounds {
+    let first = triangles[0].bounds;
+    triangles.iter().fold(first, |b, t| b.with(&t.bounds))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn place() -> impl Strategy<Value = Vec3> {
+        prop::array::uniform3(-20.0..20.0f64).prop_map(Vec3::from)
+    }
+
+    proptest! {
+        #[test]
+        fn tree_finds_what_a_test_of_every_triangle_finds(
+            path in prop::collection::vec((place(), 1.0..9.0f64), 2..30),
+            points in prop::collection::vec((place(), -2.0..2.0f64), 20),
+        ) {
+            let blade = |&(tip, depth_m): &(Vec3, f64)| BladePoint { tip, axis: Vec3::z(), depth_m };
+            let points_of_blade: Vec<BladePoint> = path.iter().map(blade).collect();
+            let ribbon = Ribbon::swept(&points_of_blade, 1.0);
+            for (p, step) in points {
+                let distances = ribbon.triangles.iter().map(|t| (t.nearest(&p) - p).norm());
+                let expected = Some(distances.fold(f64::INFINITY, f64::min)).filter(|d| *d < REACH);
+                let found = ribbon.nearest(&p).map(|foot| (foot.point - p).norm());
+                prop_assert_eq!(found.is_some(), expected.is_some());
+                let apart = found.zip(expected).map_or(0.0, |(a, b)| (a - b).abs());
+                prop_assert!(apart < 1e-9, "{:?} instead of {:?}", found, expected);
+                prop_assert!(expected.is_none_or(|d| ribbon.may_reach(&p, d + 1e-9)));
+                let q = p + Vec3::new(step, 0.5 * step, step);
+                let crosses = ribbon.triangles.iter().any(|t| t.crosses(&p, &q));
+                prop_assert_eq!(ribbon.crosses(&p, &q), crosses);
+            }
+        }
     }
 }

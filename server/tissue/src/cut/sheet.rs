@@ -14,14 +14,14 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use super::CutError;
 use super::cell_fans::{Fans, Opening};
-use super::ribbon::{Chunk, Ribbon, Triangle};
+use super::ribbon::Ribbon;
+use super::{CutError, DRIFT_MAX};
 use crate::cell::{FACES, NO_CELL};
 use crate::{FaceId, RegionId, Topology, Vec3};
 
 /// Longest segment between centres of neighbours, in spacings.
-pub(crate) const SEGMENT_MAX: f64 = 2.5;
+const SEGMENT_MAX: f64 = 2.5;
 /// A shift of all centres, in spacings, that only decides ties, which are frequent in cuts along the lattice of a
 /// block.
 const TIE: Vec3 = Vec3::new(6.13e-8, 3.71e-8, 7.93e-8);
@@ -40,22 +40,10 @@ pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId
     let index = topology.cell_index();
     let spacing = topology.model.spacing_m;
     let mut met = Met::default();
-    let mut near: Vec<&Triangle> = Vec::new();
-    let reach = SEGMENT_MAX * spacing;
-    for (key, chunks) in ribbon.buckets() {
-        let chunks: Vec<&Chunk> = chunks.collect();
-        for cell in index.cells(key) {
-            let from = topology.centre(cell) + TIE * spacing;
-            near.clear();
-            for chunk in &chunks {
-                if chunk.bounds.distance_squared(&from) < reach * reach {
-                    let triangles = ribbon.triangles(chunk).iter();
-                    near.extend(triangles.filter(|t| t.height(&from).abs() < reach));
-                }
-            }
-            if !near.is_empty() {
-                meet(topology, cell, &from, &near, &mut met);
-            }
+    for cell in index.cells_around(ribbon, (SEGMENT_MAX + DRIFT_MAX) * spacing) {
+        let from = topology.centre(cell) + TIE * spacing;
+        if ribbon.may_reach(&from, SEGMENT_MAX * spacing) {
+            meet(topology, cell, &from, ribbon, &mut met);
         }
     }
     match (met.faces.is_empty(), met.pinned) {
@@ -69,8 +57,8 @@ pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId
     }
 }
 
-/// Tests the three upper faces of a cell against nearby triangles.
-fn meet(topology: &Topology, cell: u32, from: &Vec3, near: &[&Triangle], met: &mut Met) {
+/// Tests the three upper faces of a cell.
+fn meet(topology: &Topology, cell: u32, from: &Vec3, ribbon: &Ribbon, met: &mut Met) {
     let spacing = topology.model.spacing_m;
     for face in [1, 3, 5] {
         let other = topology.model.cells[cell as usize].neighbours[face];
@@ -78,7 +66,7 @@ fn meet(topology: &Topology, cell: u32, from: &Vec3, near: &[&Triangle], met: &m
             continue;
         }
         let to = topology.centre(other) + TIE * spacing;
-        if !near.iter().any(|t| t.crosses(from, &to)) {
+        if !ribbon.crosses(from, &to) {
             continue;
         }
         let id = FaceId::new(cell, face);

@@ -9,11 +9,14 @@
 //! Where a cut has doubled nodes, two cells can disagree about the node at the same place. They then go to two bricks,
 //! so that only this module handles cuts. Cells with different spring curves go to different bricks too.
 
+use pulp::Simd;
+
 use super::corners::{SKEWED, STRENGTH};
 use super::kernel::Aligned;
 use super::lanes::LANES;
 use super::law::{Curve, Elastic};
 use super::small_strain::DISPLACEMENT_MAX;
+use crate::cell::PAIRS;
 use crate::springs::LENGTH_FLOOR;
 use crate::{Topology, Vec3, fit};
 
@@ -48,6 +51,17 @@ pub(crate) const DIRECTIONS: usize = STEPS.len();
 
 /// Offset of each direction.
 pub(crate) const OFFSETS: [usize; DIRECTIONS] = [1, 3, 9, 4, 2, 10, 8, 12, 6, 13, 11, 7, 5];
+
+/// The direction with each offset.
+const DIRECTION_OF: [usize; 14] = {
+    let mut of = [0; 14];
+    let mut direction = 0;
+    while direction < DIRECTIONS {
+        of[OFFSETS[direction]] = direction;
+        direction += 1;
+    }
+    of
+};
 
 /// Entry of corner `c` of the cell at position `p` (0..8) of a brick.
 pub(crate) const CORNER: [[usize; 8]; 8] = corners();
@@ -176,7 +190,8 @@ impl Draft {
     }
 
     /// The brick; its form still needs a number.
-    pub(crate) fn finish(&self, topology: &Topology) -> (Brick, Form) {
+    #[inline(always)]
+    pub(crate) fn finish<S: Simd>(&self, simd: S, topology: &Topology) -> (Brick, Form) {
         let mut nodes = self.nodes;
         let mut present = 0;
         let some = nodes.iter().copied().find(|&n| n != ABSENT).unwrap_or(0);
@@ -192,32 +207,41 @@ impl Draft {
             present,
             form: 0,
         };
-        (brick, self.form(topology, &nodes))
+        (brick, self.form(simd, topology, &nodes))
     }
 
-    fn form(&self, topology: &Topology, nodes: &[u32; LOCALS]) -> Form {
+    #[inline(always)]
+    fn form<S: Simd>(&self, simd: S, topology: &Topology, nodes: &[u32; LOCALS]) -> Form {
         let spacing = topology.model().spacing_m;
-        let origin = topology.rest(nodes[0]);
+        let places = nodes.map(|node| topology.rest(node));
         // In spacings first, so that cubes at different places have the same bits.
         let mut rest = Aligned([[0.0; PADDED]; 3]);
-        for (i, &node) in nodes.iter().enumerate() {
-            let d = (topology.rest(node) - origin) / spacing;
+        for (i, place) in places.iter().enumerate() {
+            let d = (place - places[0]) / spacing;
             for a in 0..3 {
                 rest[a][i] = d[a] as f32 * spacing as f32;
             }
         }
-        let mut springs = [[0.0f64; LOCALS]; STEPS.len()];
+        let mut springs = [[0.0f64; LOCALS]; DIRECTIONS];
         let (mut bulk, mut per_volume) = ([0.0; LANES], [0.0; LANES]);
         let mut corner = [0.0; LANES];
+        let mut skewed = false;
         for (position, cell) in self.cells.iter().enumerate() {
             let Some(cell) = *cell else { continue };
             let elastic = topology.elastic(cell);
-            add_springs(topology, cell, position, elastic, &mut springs);
+            let corners = CORNER[position].map(|i| places[i]);
+            skewed |= self.curve.held && is_skewed(&corners);
+            let energy = elastic.spring_pa * topology.volume(cell).max(0.0);
+            let stiffness = spring_stiffness(simd, &corners, elastic, energy, spacing);
+            for (k, [a, b]) in stiffness.into_iter().zip(PAIRS) {
+                let (i, j) = (CORNER[position][a], CORNER[position][b]);
+                springs[DIRECTION_OF[i.abs_diff(j)]][i.min(j)] += k;
+            }
             if self.curve.held {
                 let modulus = f64::from(STRENGTH) / 8.0 * elastic.spring_pa;
                 corner[CORNER[position][0]] = modulus as f32;
             }
-            let det = rest_determinant(topology, cell);
+            let det = rest_determinant(&corners);
             if elastic.bulk_pa > 0.0 && det > 0.0 {
                 bulk[position] = (elastic.bulk_pa * topology.volume(cell)) as f32;
                 per_volume[position] = (1.0 / det) as f32;
@@ -227,21 +251,36 @@ impl Draft {
         // One where no spring exists: the numerator is zero there.
         let mut rest_length = Aligned([[1.0; SPAN]; DIRECTIONS]);
         let mut per_square = Aligned([[0.0; SPAN]; DIRECTIONS]);
-        let mut shortest = f32::INFINITY;
+        let mut shortest = [f32::INFINITY; SPAN];
         let mut used = 0;
         for (d, row) in stiffness.iter_mut().enumerate() {
-            for (i, k) in springs[d].iter().enumerate().filter(|k| *k.1 > 0.0) {
-                row[i] = *k as f32;
-                used |= 1 << (4 * d + i / CHUNK);
-                let square: f32 = (0..3)
-                    .map(|a| rest[a][i + OFFSETS[d]] - rest[a][i])
-                    .map(|v| v * v)
-                    .sum();
-                rest_length[d][i] = square.sqrt().max(1e-10);
-                per_square[d][i] = 1.0 / (rest_length[d][i] * rest_length[d][i]);
-                shortest = shortest.min(rest_length[d][i]);
+            for (i, (to, k)) in row.iter_mut().zip(springs[d]).enumerate() {
+                *to = k as f32;
+                used |= u64::from(k > 0.0) << (4 * d + i / CHUNK);
+            }
+            let mut square = [0.0; SPAN];
+            for axis in rest.iter() {
+                for (i, square) in square.iter_mut().enumerate() {
+                    let way = axis[i + OFFSETS[d]] - axis[i];
+                    *square += way * way;
+                }
+            }
+            // Without branches, so that it is vectorised.
+            let (lengths, per_square) = (&mut rest_length[d], &mut per_square[d]);
+            for i in 0..SPAN {
+                let length = square[i].sqrt().max(1e-10);
+                let is_spring = row[i] > 0.0;
+                lengths[i] = if is_spring { length } else { 1.0 };
+                per_square[i] = if is_spring {
+                    1.0 / (length * length)
+                } else {
+                    0.0
+                };
+                let length = if is_spring { length } else { f32::INFINITY };
+                shortest[i] = shortest[i].min(length);
             }
         }
+        let shortest = shortest.into_iter().fold(f32::INFINITY, f32::min);
         let mut form = Form {
             rest,
             stiffness,
@@ -253,7 +292,7 @@ impl Draft {
             per_volume,
             corner,
             cell_volume: spacing.powi(3) as f32,
-            skewed: self.curve.held && self.is_skewed(topology),
+            skewed,
             has_bulk: bulk.iter().any(|&b| b > 0.0),
             curve: self.curve,
         };
@@ -264,41 +303,39 @@ impl Draft {
     }
 }
 
-impl Draft {
-    /// Whether the volume of any corner at rest is less than [`SKEWED`] of its edges' product.
-    fn is_skewed(&self, topology: &Topology) -> bool {
-        self.cells.iter().flatten().any(|&cell| {
-            let p = topology.corners(cell).map(|n| topology.rest(n));
-            (0..8).any(|c| {
-                let [x, y, z] = [1, 2, 4].map(|step| p[c | step] - p[c & !step]);
-                let box_volume = x.norm() * y.norm() * z.norm();
-                x.dot(&y.cross(&z)) < SKEWED * box_volume
-            })
-        })
-    }
+/// Whether the volume of any corner of a cell is less than [`SKEWED`] of its edges' product.
+#[inline(always)]
+fn is_skewed(p: &[Vec3; 8]) -> bool {
+    (0..8).any(|c| {
+        let [x, y, z] = [1, 2, 4].map(|step| p[c | step] - p[c & !step]);
+        let square = x.norm_squared() * y.norm_squared() * z.norm_squared();
+        let volume = x.dot(&y.cross(&z));
+        volume < 0.0 || volume * volume < SKEWED * SKEWED * square
+    })
 }
 
-/// Adds the springs of one cell to those of its brick; see `springs.rs` for the shares.
-fn add_springs(
-    topology: &Topology,
-    cell: u32,
-    position: usize,
+/// Stiffness of the springs of a cell in N/m; see `springs.rs` for the shares. `energy` is modulus times volume.
+#[inline(always)]
+fn spring_stiffness<S: Simd>(
+    simd: S,
+    corners: &[Vec3; 8],
     elastic: &Elastic,
-    springs: &mut [[f64; LOCALS]; STEPS.len()],
-) {
-    let corners = topology.corners(cell);
-    let floor = LENGTH_FLOOR * topology.model().spacing_m;
-    let energy = elastic.spring_pa * topology.volume(cell).max(0.0);
-    let shares = fit::shares(&corners.map(|n| topology.rest(n)), floor);
-    for (share, [a, b]) in shares.into_iter().zip(crate::cell::PAIRS) {
-        let d: Vec3 = topology.rest(corners[b]) - topology.rest(corners[a]);
-        let length = d.norm().max(floor);
-        let k = share * energy * elastic.fibre_factor(&d) / (length * length);
-        let (i, j) = (CORNER[position][a], CORNER[position][b]);
-        let (i, offset) = (i.min(j), i.abs_diff(j));
-        let step = STEPS.iter().position(|s| s.0 == offset).unwrap_or(0);
-        springs[step][i] += k;
+    energy: f64,
+    spacing: f64,
+) -> [f64; PAIRS.len()] {
+    let floor = LENGTH_FLOOR * spacing;
+    let ways = PAIRS.map(|[a, b]| corners[b] - corners[a]);
+    let squares = ways.map(|way| way.norm_squared().max(floor * floor));
+    let mut stiffness = fit::shares(simd, corners, floor);
+    for (k, square) in stiffness.iter_mut().zip(squares) {
+        *k *= energy / square;
     }
+    if elastic.has_fibres() {
+        for (k, way) in stiffness.iter_mut().zip(&ways) {
+            *k *= elastic.fibre_factor(way);
+        }
+    }
+    stiffness
 }
 
 /// Mean edges of a cell, as they enter the volume term: three vectors.
@@ -316,8 +353,8 @@ pub(crate) fn mean_edges(corners: &[Vec3; 8]) -> [Vec3; 3] {
     })
 }
 
-fn rest_determinant(topology: &Topology, cell: u32) -> f64 {
-    let [a, b, c] = mean_edges(&topology.corners(cell).map(|n| topology.rest(n)));
+fn rest_determinant(corners: &[Vec3; 8]) -> f64 {
+    let [a, b, c] = mean_edges(corners);
     a.dot(&b.cross(&c))
 }
 

@@ -41,6 +41,8 @@ pub(super) struct Construction {
     pub(super) kinds: Kinds,
     /// Cells of each element of level 1, ascending.
     pub(super) cells: Table,
+    /// Element of level 1 of each cell.
+    pub(super) element_of: Vec<u32>,
     /// Places of the elements of each level.
     pub(super) places: Vec<Places>,
 }
@@ -59,7 +61,7 @@ impl Construction {
                 cells.collect::<BTreeSet<u32>>().into_iter().collect()
             })
             .collect();
-        let mut kinds = Kinds::of_forms(hierarchy.forms.clone());
+        let mut kinds = Kinds::of_bricks(&hierarchy.forms, &hierarchy.bricks);
         let mut at: Vec<[i32; 3]> = cells
             .iter()
             .map(|cells| place(place_of(topology, cells[0])))
@@ -83,10 +85,23 @@ impl Construction {
         }
         let pairs = cells.iter().zip(0..);
         let pairs = pairs.flat_map(|(cells, e)| cells.iter().map(move |&c| (e, c)));
+        let mut element_of = vec![0; topology.cell_count()];
+        for (e, cell) in pairs.clone() {
+            element_of[cell as usize] = e;
+        }
         Self {
             kinds,
             cells: Table::new(cells.len(), pairs),
+            element_of,
             places,
+        }
+    }
+
+    /// Sets the cells of an element of level 1, which may be new.
+    pub(super) fn set_cells(&mut self, element: u32, cells: &[u32]) {
+        self.cells.set(element, cells);
+        for &cell in cells {
+            self.element_of[cell as usize] = element;
         }
     }
 }

@@ -113,8 +113,8 @@ impl CutPreparer {
             self.construction = Construction::of(&self.topology, &self.hierarchy);
             self.rebuilt()
         } else {
-            let (construction, touched) = (&mut self.construction, &outcome.touched);
-            let change = self.hierarchy.follow(construction, &self.topology, touched);
+            let (construction, topology) = (&mut self.construction, &self.topology);
+            let change = self.hierarchy.follow(construction, topology, &outcome);
             Levels::Changed(Arc::new(change))
         };
         if self.topology.model().gravity != [0.0; 3] {

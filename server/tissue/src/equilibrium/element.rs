@@ -13,9 +13,12 @@
 //! with b = Σ w ∇J. Matrices are stored per element, not assembled in rows, so a cut changes no table of neighbours.
 //! Equal elements (the inside of every homogeneous region) share one matrix.
 
+use pulp::Simd;
+
 use super::brick::{CORNER, Form, LOCALS, OFFSETS};
+use super::lanes::add_scaled;
 use super::law::{Symmetric, sideways};
-use super::matrix::{Columns, SIZE, Short, Stiffness, at, lane};
+use super::matrix::{Columns, SIZE, Short, Stiffness, at};
 
 /// σ relative to the floor of `law.rs`.
 const TURNING: f64 = 0.1;
@@ -37,72 +40,114 @@ pub(crate) struct Matrix {
     pub(crate) even: bool,
 }
 
+/// Dense matrix of an element.
+type Dense = [[f64; SIZE]; SIZE];
+
+/// Pairs of corners, equal ones included.
+const CORNER_PAIRS: usize = 36;
+/// Numbers of a symmetric block, padded to a vector.
+const BLOCK: usize = 8;
+
 /// Accumulates a [`Matrix`] in f64.
-pub(crate) struct Sum(Box<[[f64; SIZE]; SIZE]>);
+pub(crate) struct Sum {
+    dense: Box<Dense>,
+    /// Blocks xx, yy, zz, xy, xz, yz of the springs by pairs of corners (q, p), q <= p.
+    springs: Box<[[f64; BLOCK]; CORNER_PAIRS]>,
+}
 
 impl Sum {
     pub(crate) fn new() -> Self {
-        Self(Box::new([[0.0; SIZE]; SIZE]))
+        Self {
+            dense: Box::new([[0.0; SIZE]; SIZE]),
+            springs: Box::new([[0.0; BLOCK]; CORNER_PAIRS]),
+        }
     }
 
     /// Adds the springs and volume terms of a brick; bit `i` of `fixed` marks entry `i` as fixed.
-    pub(crate) fn add_brick(&mut self, form: &Form, fixed: u32, per_spacing: f32) {
-        // Per pair of corners: the n nᵀ part and the isotropic part of all springs.
+    #[inline(always)]
+    pub(crate) fn add_brick<S: Simd>(
+        &mut self,
+        simd: S,
+        form: &Form,
+        fixed: u32,
+        per_spacing: f32,
+    ) {
         for (direction, offset) in OFFSETS.into_iter().enumerate() {
             for (i, &k) in form.stiffness[direction][..LOCALS].iter().enumerate() {
                 if k > 0.0 {
-                    self.add_spring(form, [i, i + offset], f64::from(k), fixed, per_spacing);
+                    let k = f64::from(k);
+                    self.add_spring(simd, form, [i, i + offset], k, fixed, per_spacing);
                 }
             }
         }
         if form.has_bulk {
-            self.add_bulk(form, fixed);
+            self.add_bulk(simd, form, fixed);
         }
     }
 
-    fn add_spring(
+    #[inline(always)]
+    fn add_spring<S: Simd>(
         &mut self,
+        simd: S,
         form: &Form,
         [i, j]: [usize; 2],
         k: f64,
         fixed: u32,
         per_spacing: f32,
     ) {
-        let weights = |entry: usize| {
-            if fixed >> entry & 1 == 1 {
-                [0.0; 8]
-            } else {
-                WEIGHTS[entry]
-            }
-        };
-        let (wi, wj) = (weights(i), weights(j));
-        let d: [f64; 8] = std::array::from_fn(|c| wj[c] - wi[c]);
+        let moves = |entry: usize| f64::from(1 - (fixed >> entry & 1));
+        let (mi, mj) = (moves(i), moves(j));
+        let d: [f64; 8] = std::array::from_fn(|c| mj * WEIGHTS[j][c] - mi * WEIGHTS[i][c]);
         let v: [f64; 3] =
             std::array::from_fn(|a| f64::from(form.rest[a][j]) - f64::from(form.rest[a][i]));
         let square = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).max(1e-20);
         let floor = TURNING * f64::from(sideways(square.sqrt() as f32, per_spacing));
-        let along = k * (1.0 - floor) / square;
-        let block: [[f64; 3]; 3] = std::array::from_fn(|a| {
-            std::array::from_fn(|b| along * v[a] * v[b] + if a == b { k * floor } else { 0.0 })
-        });
+        let (along, all) = (k * (1.0 - floor) / square, k * floor);
+        let block: [f64; BLOCK] = [
+            along * v[0] * v[0] + all,
+            along * v[1] * v[1] + all,
+            along * v[2] * v[2] + all,
+            along * v[0] * v[1],
+            along * v[0] * v[2],
+            along * v[1] * v[2],
+            0.0,
+            0.0,
+        ];
+        let mut pair = 0;
         for p in 0..8 {
-            if d[p] == 0.0 {
-                continue;
-            }
-            for q in 0..8 {
-                let w = d[p] * d[q];
-                if w != 0.0 {
-                    for a in 0..3 {
-                        for b in 0..3 {
-                            self.0[at(p, a)][at(q, b)] += w * block[a][b];
-                        }
+            if d[p] != 0.0 {
+                for q in 0..=p {
+                    let w = d[p] * d[q];
+                    if w != 0.0 {
+                        add_scaled(simd, &mut self.springs[pair + q], w, &block);
                     }
                 }
+            }
+            pair += p + 1;
+        }
+    }
+
+    /// Adds the blocks of the springs to the dense matrix.
+    #[inline(always)]
+    fn add_springs(&mut self) {
+        let mut pair = 0;
+        for p in 0..8 {
+            for q in 0..=p {
+                let [xx, yy, zz, xy, xz, yz, ..] = self.springs[pair];
+                let block = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
+                for (a, b) in (0..9).map(|i| (i / 3, i % 3)) {
+                    self.dense[at(p, a)][at(q, b)] += block[a][b];
+                    if p != q {
+                        self.dense[at(q, b)][at(p, a)] += block[a][b];
+                    }
+                }
+                pair += 1;
             }
         }
     }
 
-    fn add_bulk(&mut self, form: &Form, fixed: u32) {
+    #[inline(always)]
+    fn add_bulk<S: Simd>(&mut self, simd: S, form: &Form, fixed: u32) {
         for cell in 0..8 {
             if form.bulk[cell] == 0.0 {
                 continue;
@@ -154,70 +199,53 @@ impl Sum {
                 }
             }
             let k = f64::from(form.bulk[cell]);
-            for (i, row) in self.0.iter_mut().enumerate() {
-                if b[i] != 0.0 {
-                    for (j, v) in row.iter_mut().enumerate() {
-                        *v += k * b[i] * b[j];
-                    }
-                }
+            for (i, row) in self.dense.iter_mut().enumerate() {
+                add_scaled(simd, row, k * b[i], &b);
             }
         }
     }
 
     /// Adds the matrix of a finer element at octant `octant` of this one.
-    pub(crate) fn add_child(&mut self, child: &Matrix, octant: usize) {
-        let weights: [[f64; 8]; 8] = std::array::from_fn(|c| WEIGHTS[CORNER[octant][c]]);
-        // T = K P, then PᵀT.
-        let mut t = [[0.0f64; SIZE]; SIZE];
-        for (i, row) in t.iter_mut().enumerate() {
-            for q in 0..8 {
-                for b in 0..3 {
-                    let mut sum = 0.0;
-                    for c in 0..8 {
-                        sum += f64::from(child.k.get(i, lane(c, b))) * weights[c][q];
-                    }
-                    row[at(q, b)] = sum;
-                }
-            }
-        }
-        for p in 0..8 {
-            for c in 0..8 {
-                let w = weights[c][p];
-                if w != 0.0 {
-                    for a in 0..3 {
-                        for j in 0..SIZE {
-                            self.0[at(p, a)][j] += w * t[at(c, a)][j];
-                        }
-                    }
-                }
-            }
+    #[inline(always)]
+    pub(crate) fn add_child<S: Simd>(&mut self, simd: S, child: &Matrix, octant: usize) {
+        let mut k = child.k.dense();
+        // The weights are products of weights per axis, so that Pᵀ K takes three passes. K is symmetric.
+        restrict(simd, &mut k, octant);
+        let mut k = transposed(&k);
+        restrict(simd, &mut k, octant);
+        for (to, row) in self.dense.iter_mut().zip(&k) {
+            add_scaled(simd, to, 1.0, row);
         }
     }
 
     /// The matrix and its bound. Homogeneous elements (`alike`) stay in single precision: these few matrices fit in the
     /// L1 cache.
-    pub(crate) fn finish(mut self, alike: bool) -> Matrix {
+    #[inline(always)]
+    pub(crate) fn finish<S: Simd>(mut self, simd: S, alike: bool) -> Matrix {
+        self.add_springs();
         self.tie_weak_corners();
-        let short = (!alike).then(|| Short::new(&self.0)).flatten();
-        let k = match short {
+        let k = &*self.dense;
+        let short = (!alike).then(|| Short::new(k)).flatten();
+        let stiffness = match short {
             Some(short) => Stiffness::Short(Box::new(short)),
-            None => Stiffness::Full(Box::new(Columns::new(&self.0))),
+            None => Stiffness::Full(Box::new(Columns::new(k))),
         };
         let blocks: [Symmetric; 8] = std::array::from_fn(|c| {
-            let k = |a: usize, b: usize| self.0[at(c, a)][at(c, b)];
+            let k = |a: usize, b: usize| k[at(c, a)][at(c, b)];
             [k(0, 0), k(1, 1), k(2, 2), k(0, 1), k(0, 2), k(1, 2)]
         });
-        let largest = self.largest(&blocks);
+        let largest = largest(simd, k, &blocks);
         Matrix {
-            k,
+            k: stiffness,
             bound: blocks.map(|b| b.map(|v| (v * largest) as f32)),
             even: alike,
         }
     }
 
     /// Ties weakly connected corners to the others, like a soft filling. Rigid translations still make no force.
+    #[inline(always)]
     fn tie_weak_corners(&mut self) {
-        let own = |c: usize| (0..3).map(|a| self.0[at(c, a)][at(c, a)]).sum::<f64>() / 3.0;
+        let own = |c: usize| (0..3).map(|a| self.dense[at(c, a)][at(c, a)]).sum::<f64>() / 3.0;
         let own: [f64; 8] = std::array::from_fn(own);
         let least = WEAK * own.iter().copied().fold(0.0, f64::max);
         let strong: Vec<usize> = (0..8).filter(|&c| own[c] >= least).collect();
@@ -225,50 +253,94 @@ impl Sum {
             let k = (least - own[c]) / strong.len() as f64;
             for &other in &strong {
                 for (i, j) in (0..3).map(|a| (at(c, a), at(other, a))) {
-                    self.0[i][i] += k;
-                    self.0[j][j] += k;
-                    self.0[i][j] -= k;
-                    self.0[j][i] -= k;
+                    self.dense[i][i] += k;
+                    self.dense[j][j] += k;
+                    self.dense[i][j] -= k;
+                    self.dense[j][i] -= k;
                 }
             }
         }
     }
+}
 
-    /// Largest eigenvalue of the element scaled by the inverse of its diagonal blocks.
-    fn largest(&self, blocks: &[Symmetric; 8]) -> f64 {
-        let inverse = blocks.map(|b| {
-            if b[0] + b[1] + b[2] > 0.0 {
-                super::law::invert(&b)
-            } else {
-                [0.0; 6]
+/// `Pᵀ K`, with the interpolation from a parent to its child at an octant.
+#[inline(always)]
+fn restrict<S: Simd>(simd: S, k: &mut Dense, octant: usize) {
+    for axis in 0..3 {
+        for low in (0..8).filter(|c| c >> axis & 1 == 0) {
+            for a in 0..3 {
+                let (mut end, mut middle) = (at(low, a), at(low | 1 << axis, a));
+                if octant >> axis & 1 == 1 {
+                    std::mem::swap(&mut end, &mut middle);
+                }
+                // The middle of the axis belongs to both ends by half.
+                let mut half = [0.0; SIZE];
+                add_scaled(simd, &mut half, 0.5, &k[middle]);
+                add_scaled(simd, &mut k[end], 1.0, &half);
+                k[middle] = half;
             }
-        });
-        // A fixed start that is orthogonal to no likely eigenvector.
-        let mut x: [f64; SIZE] = std::array::from_fn(|i| ((i * 37 + 11) % 29) as f64 / 29.0 - 0.4);
-        let mut value = 1.0;
-        for _ in 0..POWER {
-            let mut y = [0.0; SIZE];
-            for (i, row) in self.0.iter().enumerate() {
-                y[i] = row.iter().zip(&x).map(|(k, x)| k * x).sum();
-            }
-            let mut z = [0.0; SIZE];
-            for c in 0..8 {
-                let (m, v) = (&inverse[c], [y[at(c, 0)], y[at(c, 1)], y[at(c, 2)]]);
-                z[at(c, 0)] = m[0] * v[0] + m[3] * v[1] + m[4] * v[2];
-                z[at(c, 1)] = m[3] * v[0] + m[1] * v[1] + m[5] * v[2];
-                z[at(c, 2)] = m[4] * v[0] + m[5] * v[1] + m[2] * v[2];
-            }
-            let norm = z.iter().map(|v| v * v).sum::<f64>().sqrt();
-            let before = x.iter().map(|v| v * v).sum::<f64>().sqrt();
-            if norm == 0.0 || before == 0.0 {
-                break;
-            }
-            value = norm / before;
-            x = z.map(|v| v / norm);
         }
-        // Power iteration approaches the eigenvalue from below.
-        (1.05 * value).clamp(1.0, 8.0)
     }
+}
+
+/// Not inlined: vector gathers are slower than these copies.
+#[inline(never)]
+fn transposed(k: &Dense) -> Dense {
+    let mut to = [[0.0; SIZE]; SIZE];
+    for (i, row) in to.iter_mut().enumerate() {
+        for (v, column) in row.iter_mut().zip(k) {
+            *v = column[i];
+        }
+    }
+    to
+}
+
+/// Largest eigenvalue of an element scaled by the inverse of its diagonal blocks.
+#[inline(always)]
+fn largest<S: Simd>(simd: S, k: &Dense, blocks: &[Symmetric; 8]) -> f64 {
+    let inverse = blocks.map(|b| {
+        if b[0] + b[1] + b[2] > 0.0 {
+            super::law::invert(&b)
+        } else {
+            [0.0; 6]
+        }
+    });
+    // A fixed start that is orthogonal to no likely eigenvector.
+    let mut x: [f64; SIZE] = std::array::from_fn(|i| ((i * 37 + 11) % 29) as f64 / 29.0 - 0.4);
+    let mut value = 1.0;
+    for _ in 0..POWER {
+        let mut y = [0.0; SIZE];
+        for (column, x) in k.iter().zip(x) {
+            add_scaled(simd, &mut y, x, column);
+        }
+        let mut z = [0.0; SIZE];
+        for c in 0..8 {
+            let (m, v) = (&inverse[c], [y[at(c, 0)], y[at(c, 1)], y[at(c, 2)]]);
+            z[at(c, 0)] = m[0] * v[0] + m[3] * v[1] + m[4] * v[2];
+            z[at(c, 1)] = m[3] * v[0] + m[1] * v[1] + m[5] * v[2];
+            z[at(c, 2)] = m[4] * v[0] + m[5] * v[1] + m[2] * v[2];
+        }
+        let (norm, before) = (norm(&z), norm(&x));
+        if norm == 0.0 || before == 0.0 {
+            break;
+        }
+        value = norm / before;
+        x = z.map(|v| v / norm);
+    }
+    // Power iteration approaches the eigenvalue from below.
+    (1.05 * value).clamp(1.0, 8.0)
+}
+
+/// Norm, with sums in an order that suits vectors of any width.
+#[inline(always)]
+fn norm(x: &[f64; SIZE]) -> f64 {
+    let mut sums = [0.0; SIZE / 3];
+    for part in x.chunks_exact(sums.len()) {
+        for (sum, v) in sums.iter_mut().zip(part) {
+            *sum += v * v;
+        }
+    }
+    sums.iter().sum::<f64>().sqrt()
 }
 
 /// Trilinear weights of the eight corners at each of the 27 places of an element.

@@ -483,8 +483,7 @@ impl FineLevel {
 
 /// Mean stiffness of a node at rest in N/m.
 pub(super) fn own_stiffness(topology: &Topology, node: u32) -> f64 {
-    let row = topology.springs_of(node);
-    row.iter().map(|s| f64::from(s.stiffness)).sum::<f64>() / 3.0
+    topology.stiffness_around(node) / 3.0
 }
 
 /// `k n nᵀ`.

@@ -5,12 +5,10 @@
 //! the displacements of the coarser levels. Afterwards new points and nodes copy those that they were split from. The state
 //! elsewhere stays, so no force far from the cut changes.
 
-use std::collections::BTreeSet;
-
 use super::coarse_level::{CoarseLevel, NONE, invert, update_total};
 use super::cycle::Multigrid;
 use super::fine_level::{FineLevel, OuterForces, SetChange};
-use super::hierarchy::Hierarchy;
+use super::hierarchy::{Hierarchy, Level};
 use super::hierarchy_change::{HierarchyChange, LevelChange};
 use super::quad::{ZERO, plus};
 use super::solver::Solver;
@@ -44,7 +42,7 @@ impl Solver {
             fine.displaced = fine.displaced.max(shape.displacement[node as usize].norm());
         }
         self.contact_smoother.grow(&self.hierarchy);
-        self.contacts.follow(topology, outcome);
+        self.contacts.follow(topology, &change.surface);
         self.report.steady = false;
         self.dirty = true;
     }
@@ -84,24 +82,24 @@ impl FineLevel {
         change: &HierarchyChange,
         u: &mut [Vec3],
     ) {
-        let count = hierarchy.prolongation.len();
-        let changed = change.around.iter().map(|row| row.0);
-        let mut nodes: BTreeSet<u32> = changed.filter(|n| (*n as usize) < count).collect();
-        for &brick in &self.stale.items {
-            nodes.extend(hierarchy.bricks[brick as usize].nodes);
+        let changed = change.bricks.iter().map(|b| b.0);
+        let bricks = changed.chain(self.stale.items.iter().copied());
+        for brick in bricks.filter_map(|b| hierarchy.bricks.get(b as usize)) {
+            for node in brick.nodes {
+                self.touched.insert(node);
+            }
         }
-        let mut points: BTreeSet<u32> = nodes
-            .iter()
-            .flat_map(|&n| hierarchy.prolongation.row(n as usize))
-            .map(|(point, _)| point)
-            .collect();
+        let nodes = self.touched.take();
+        // The corners of all elements that these nodes, or points of the finer level, follow.
+        let of_node = |&n: &u32| hierarchy.prolongation.element_of(n as usize);
+        let mut elements: Vec<u32> = nodes.iter().filter_map(of_node).collect();
         let mut of_levels = Vec::new();
         for (level, change) in hierarchy.levels.iter().zip(&change.levels) {
-            for e in change.elements() {
-                points.extend(level.corners.get(e as usize).into_iter().flatten());
-            }
-            let above = points.iter().flat_map(|&p| level.points_above(p)).collect();
-            of_levels.push(std::mem::replace(&mut points, above));
+            elements.extend(change.elements());
+            let points = points_of(level, elements);
+            let above = points.iter().filter_map(|&p| level.element_above(p));
+            elements = above.collect();
+            of_levels.push(points);
         }
         for l in (0..of_levels.len().saturating_sub(1)).rev() {
             let (finer, coarser) = coarse.grids.split_at_mut(l + 1);
@@ -159,6 +157,10 @@ impl FineLevel {
         self.block_sum.resize(bricks, [0.0; 6]);
         self.block_sum_at_rest.resize(hierarchy.forms.len(), None);
         self.blocks_at_rest.resize(hierarchy.forms.len(), None);
+        for (form, _) in &change.forms {
+            self.block_sum_at_rest[*form as usize] = None;
+            self.blocks_at_rest[*form as usize] = None;
+        }
         for list in [
             &mut self.nodes,
             &mut self.unbalanced,
@@ -179,7 +181,7 @@ impl FineLevel {
             list.grow(bricks);
         }
         self.required.grow(hierarchy.levels[0].corners.len());
-        for &brick in change.bricks.keys() {
+        for &(brick, ..) in &change.bricks {
             self.stale.insert(brick);
             self.block_sum[brick as usize] = [0.0; 6];
         }
@@ -222,8 +224,8 @@ impl CoarseLevel {
         self.free.resize(points, false);
         self.added_bound.resize(points, [0.0; 6]);
         self.inverse.resize(points, [0.0; 6]);
-        for &point in &change.bounds {
-            self.inverse[point as usize] = invert(&level.bound[point as usize]);
+        for (point, bound) in &change.bounds {
+            self.inverse[*point as usize] = invert(bound);
         }
         self.stiffness_of.resize(elements, NONE);
         self.grow_pending(elements);
@@ -256,6 +258,19 @@ impl CoarseLevel {
         }
         self.trim();
     }
+}
+
+/// The points of these elements, sorted.
+fn points_of(level: &Level, mut elements: Vec<u32>) -> Vec<u32> {
+    elements.sort_unstable();
+    elements.dedup();
+    let known = elements
+        .iter()
+        .filter_map(|&e| level.corners.get(e as usize));
+    let mut points: Vec<u32> = known.flatten().copied().collect();
+    points.sort_unstable();
+    points.dedup();
+    points
 }
 
 #[cfg(test)]

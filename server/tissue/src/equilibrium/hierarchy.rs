@@ -7,6 +7,7 @@
 
 use std::sync::Arc;
 
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::brick::{Brick, Draft, Form, LOCALS};
@@ -55,11 +56,10 @@ impl Level {
         self.bound.len()
     }
 
-    /// The points of the next coarser level that a point follows.
-    pub(super) fn points_above(&self, point: u32) -> impl Iterator<Item = u32> + '_ {
+    /// The element of the next coarser level that a point follows.
+    pub(super) fn element_above(&self, point: u32) -> Option<u32> {
         let has_parents = !self.parent.is_empty();
-        let row = has_parents.then(|| self.prolongation.row(point as usize));
-        row.into_iter().flatten().map(|(point, _)| point)
+        has_parents.then(|| self.prolongation.element_of(point as usize))?
     }
 
     /// Diagonal bound of a point.
@@ -206,7 +206,7 @@ impl Hierarchy {
                 })
             });
             let next = next.filter(|n| n.pieces.len() < now.pieces.len());
-            let matrix = kinds.matrices(l, &parts, self.per_spacing);
+            let (matrix, _) = kinds.matrices(l, &parts, self.per_spacing);
             let matrices = kinds.levels[l].matrices.clone();
             self.levels
                 .push(level_of(&now, next.as_ref(), matrix, matrices, children));
@@ -289,6 +289,24 @@ fn pieces_of(topology: &Topology) -> Vec<Piece> {
         .collect()
 }
 
+/// [`Draft::finish`] with the vectors of this machine.
+struct Finish<'a> {
+    draft: &'a Draft,
+    topology: &'a Topology,
+}
+
+impl WithSimd for Finish<'_> {
+    type Output = Made;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Made {
+        let (brick, form) = self.draft.finish(simd, self.topology);
+        let key = form.key();
+        let form = Arc::new(form);
+        Made { brick, form, key }
+    }
+}
+
 /// A brick whose form has no number yet.
 pub(super) struct Made {
     pub(super) brick: Brick,
@@ -305,19 +323,15 @@ impl Made {
             .collect();
         let mut drafts = Vec::new();
         Draft::of(topology, &list, &mut drafts);
-        let finish = |draft: &Draft| {
-            let (brick, form) = draft.finish(topology);
-            let key = form.key();
-            let form = Arc::new(form);
-            Self { brick, form, key }
-        };
+        let arch = Arch::new();
+        let finish = |draft: &Draft| arch.dispatch(Finish { draft, topology });
         drafts.iter().map(finish).collect()
     }
 
     /// The brick with the number of its form.
     pub(super) fn numbered(self, kinds: &mut Kinds) -> Brick {
         Brick {
-            form: kinds.form(self.form, self.key),
+            form: kinds.form(&self.form, self.key),
             ..self.brick
         }
     }

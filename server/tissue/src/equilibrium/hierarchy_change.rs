@@ -4,9 +4,8 @@
 //! applies it to another. Its price depends on the new faces and not on the size of the model. Numbers of nodes, bricks,
 //! elements and points stay, new ones are appended.
 
+use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -18,11 +17,13 @@ use super::fine_level::own_stiffness;
 use super::hierarchy::{
     Hierarchy, Level, Made, entries_of, joined, parts_over_bricks, parts_over_children, place_of,
 };
-use super::kinds::Parts;
+use super::kinds::{Numbered, Parts, set_numbered};
 use super::prolongation::{FREE, set};
 use super::recoarsen::{Cells, Changed, Recoarsened, recoarsen};
 use crate::Topology;
 use crate::cell::NO_CELL;
+use crate::contact::SurfaceChange;
+use crate::cut::CutOutcome;
 
 /// The change of one coarse level.
 #[derive(Default)]
@@ -35,24 +36,24 @@ pub(super) struct LevelChange {
     children: Vec<(u32, Vec<u32>)>,
     /// Matrices of elements, and new matrices.
     matrix: Vec<(u32, u32)>,
-    matrices: Vec<Arc<Matrix>>,
+    matrices: Numbered<Matrix>,
     /// The point that each new point was split from.
     pub(super) origins: Vec<u32>,
     /// Elements around points.
     around: Vec<(u32, Vec<u32>)>,
-    /// Points whose diagonal bound changed.
-    pub(super) bounds: BTreeSet<u32>,
+    /// Diagonal bounds of points.
+    pub(super) bounds: Vec<(u32, [f32; 6])>,
     /// Element and place of the points of the next finer level.
     pub(super) entries: BTreeMap<u32, u32>,
 }
 
 impl LevelChange {
-    /// All changed elements, new ones included.
-    pub(super) fn elements(&self) -> BTreeSet<u32> {
+    /// All changed elements, new ones included, sorted.
+    pub(super) fn elements(&self) -> Vec<u32> {
         let corners = self.corners.iter().map(|e| e.0);
         let children = self.children.iter().map(|e| e.0);
         let matrix = self.matrix.iter().map(|e| e.0);
-        corners.chain(children).chain(matrix).collect()
+        sorted(corners.chain(children).chain(matrix))
     }
 
     /// Points whose elements changed, new ones included.
@@ -64,14 +65,16 @@ impl LevelChange {
 /// See the module.
 #[derive(Default)]
 pub(crate) struct HierarchyChange {
-    /// Changed and new bricks with their elements.
-    pub(super) bricks: BTreeMap<u32, (Brick, u32)>,
-    forms: Vec<Arc<Form>>,
+    /// Changed and new bricks with their elements, sorted by their numbers.
+    pub(super) bricks: Vec<(u32, Brick, u32)>,
+    /// New forms, sorted by their numbers.
+    pub(super) forms: Numbered<Form>,
     /// Bricks around nodes.
-    pub(super) around: Vec<(u32, Vec<u32>)>,
+    around: Vec<(u32, Vec<u32>)>,
     /// Mean stiffness of nodes at rest, in N/m.
     pub(super) own: Vec<(u32, f64)>,
     pub(super) levels: Vec<LevelChange>,
+    pub(super) surface: SurfaceChange,
 }
 
 /// The cells of a topology.
@@ -122,34 +125,43 @@ impl Cells for Elements<'_> {
 }
 
 impl Hierarchy {
-    /// Follows a cut of its topology that touched these nodes, sorted. Returns the change, for other hierarchies.
+    /// Follows a cut of its topology. Returns the change, for other hierarchies.
     pub(super) fn follow(
         &mut self,
         construction: &mut Construction,
         topology: &Topology,
-        touched: &[u32],
+        outcome: &CutOutcome,
     ) -> HierarchyChange {
-        let cells = cells_within(topology, touched);
         let level_1 = (
             &self.levels[0],
             &construction.places[0],
             &construction.cells,
         );
-        let coarse = recoarsen(&Fine(topology), level_1, &cells);
+        let coarse = recoarsen(&Fine(topology), level_1, &parted_cells(topology, outcome));
         for element in &coarse.elements {
-            construction.cells.set(element.id, &element.cells);
+            construction.set_cells(element.id, &element.cells);
         }
         let own = |&node: &u32| (node, own_stiffness(topology, node));
         let mut change = HierarchyChange {
-            own: touched.par_iter().map(own).collect(),
+            own: outcome.touched.par_iter().map(own).collect(),
+            surface: SurfaceChange::of(topology, outcome),
             ..HierarchyChange::default()
         };
-        let children = self.remake_bricks(construction, topology, &coarse, &mut change);
+        let reshaped = outcome.reshaped.iter();
+        let reshaped = reshaped.map(|&cell| construction.element_of[cell as usize]);
+        let elements = sorted(reshaped.chain(coarse.elements.iter().map(|e| e.id)));
+        let children = self.remake_bricks(construction, topology, &elements, &mut change);
+        let brick = |id: &u32| {
+            let at = change.bricks.binary_search_by_key(id, |b| b.0);
+            at.ok().map(|at| &change.bricks[at].1)
+        };
         let parts: Vec<(u32, Parts)> = children
             .iter()
             .map(|(e, list)| {
-                let bricks = list.iter().map(|brick| &change.bricks[brick].0);
-                (*e, parts_over_bricks(topology, bricks))
+                (
+                    *e,
+                    parts_over_bricks(topology, list.iter().filter_map(brick)),
+                )
             })
             .collect();
         let place = |cell: u32| place(place_of(topology, cell));
@@ -163,49 +175,54 @@ impl Hierarchy {
             *entry = FREE;
         }
         self.apply_bricks(&change);
-        self.apply_level(0, &first);
-        change.levels.push(first);
+        self.apply_computed(0, first, &mut change);
         for l in 1..self.levels.len() {
             let next = self.compute_level(construction, l, &change.levels[l - 1]);
-            self.apply_level(l, &next);
-            change.levels.push(next);
+            self.apply_computed(l, next, &mut change);
         }
         change
     }
 
-    /// Rebuilds the bricks of changed elements, under their former numbers as far as possible. Returns the bricks of
-    /// each element.
+    /// Applies the change of a level and adds its bounds.
+    fn apply_computed(&mut self, l: usize, mut level: LevelChange, change: &mut HierarchyChange) {
+        self.apply_level(l, &level);
+        let now = &mut self.levels[l];
+        let corners = level.matrix.iter().flat_map(|m| now.corners[m.0 as usize]);
+        for point in sorted(level.points().chain(corners)) {
+            let bound = now.bound_of(point);
+            set(&mut now.bound, point, bound);
+            level.bounds.push((point, bound));
+        }
+        change.levels.push(level);
+    }
+
+    /// Rebuilds the bricks of elements, under their former numbers as far as possible. Returns the bricks of each element.
     fn remake_bricks(
         &self,
         construction: &mut Construction,
         topology: &Topology,
-        coarse: &Recoarsened,
+        elements: &[u32],
         change: &mut HierarchyChange,
     ) -> Vec<(u32, Vec<u32>)> {
-        let made: Vec<Vec<Made>> = coarse
-            .elements
+        let made: Vec<Vec<Made>> = elements
             .par_iter()
-            .map(|element| Made::of(topology, &element.cells))
+            .map(|&element| Made::of(topology, construction.cells.row(element)))
             .collect();
-        let forms = construction.kinds.forms.len();
+        let former = &self.levels[0].children;
         let mut count = self.bricks.len() as u32;
-        let mut children = Vec::new();
-        let mut nodes = BTreeSet::new();
-        for (element, made) in coarse.elements.iter().zip(made) {
-            let is_old = element.id == element.origin;
-            let mut known = if is_old {
-                self.levels[0].children.row(element.id).iter()
-            } else {
-                [].iter()
-            };
-            let mut list = Vec::new();
+        let mut children = Vec::with_capacity(elements.len());
+        for (&element, made) in elements.iter().zip(made) {
+            let is_old = (element as usize) < former.rows();
+            let known = if is_old { former.row(element) } else { &[] };
+            let mut known = known.iter();
+            let mut list = Vec::with_capacity(made.len());
             for made in made {
                 let id = known.next().copied().unwrap_or_else(|| {
                     count += 1;
                     count - 1
                 });
                 let brick = made.numbered(&mut construction.kinds);
-                change.bricks.insert(id, (brick, element.id));
+                change.bricks.push((id, brick, element));
                 list.push(id);
             }
             for &unused in known {
@@ -213,33 +230,49 @@ impl Hierarchy {
                     present: 0,
                     ..self.bricks[unused as usize]
                 };
-                change.bricks.insert(unused, (brick, element.id));
+                change.bricks.push((unused, brick, element));
             }
-            children.push((element.id, list));
+            children.push((element, list));
         }
-        change.forms = construction.kinds.forms[forms..].to_vec();
-        let mut added: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
-        for (&id, (brick, _)) in &change.bricks {
-            for (node, entry) in entries_of(id, brick) {
-                added.entry(node).or_default().push(entry);
-            }
-            if let Some(former) = self.bricks.get(id as usize) {
-                nodes.extend(entries_of(id, former).map(|e| e.0));
-            }
+        // Numbers become unused only after all new ones are given.
+        let replaced = change.bricks.iter().filter(|b| b.1.present != 0);
+        for former in replaced.filter_map(|b| self.bricks.get(b.0 as usize)) {
+            construction.kinds.release_form(former.form);
         }
-        nodes.extend(added.keys());
-        for node in nodes {
-            let is_known = (node as usize) < self.prolongation.len();
-            let former = if is_known { self.around.row(node) } else { &[] };
-            let unchanged = former
-                .iter()
-                .filter(|e| !change.bricks.contains_key(&(*e / 32)));
-            let mut row: Vec<u32> = unchanged.copied().collect();
-            row.extend(added.remove(&node).unwrap_or_default());
-            row.sort_unstable();
-            change.around.push((node, row));
-        }
+        change.forms = construction.kinds.take_new_forms();
+        change.bricks.sort_unstable_by_key(|b| b.0);
+        change.around = self.around_rewired(&change.bricks);
         children
+    }
+
+    /// The bricks around the nodes of those of these bricks whose nodes changed.
+    fn around_rewired(&self, bricks: &[(u32, Brick, u32)]) -> Vec<(u32, Vec<u32>)> {
+        let former = |id: u32| self.bricks.get(id as usize);
+        let is_rewired = |&(id, now, _): &&(u32, Brick, u32)| {
+            former(*id).is_none_or(|b| b.present != now.present || b.nodes != now.nodes)
+        };
+        let rewired: Vec<_> = bricks.iter().filter(is_rewired).collect();
+        let is_kept = |entry: &u32| {
+            rewired
+                .binary_search_by_key(&(entry / 32), |b| b.0)
+                .is_err()
+        };
+        let mut rows: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+        for &&(id, ref brick, _) in &rewired {
+            for (node, entry) in entries_of(id, brick) {
+                rows.entry(node).or_default().push(entry);
+            }
+            for (node, _) in former(id).into_iter().flat_map(|b| entries_of(id, b)) {
+                rows.entry(node).or_default();
+            }
+        }
+        for (&node, row) in &mut rows {
+            if (node as usize) < self.prolongation.len() {
+                row.extend(self.around.row(node).iter().filter(|e| is_kept(e)));
+            }
+            row.sort_unstable();
+        }
+        rows.into_iter().collect()
     }
 
     /// The change of a level above level 1.
@@ -305,7 +338,7 @@ impl Hierarchy {
         change
     }
 
-    /// The change of a level but for the children. `parts` are those of the elements whose matrix may have changed;
+    /// The change of a level but for the children and bounds. `parts` are those of the elements whose matrix may have changed;
     /// `place` is the place of the element of a finer cell.
     fn level_change(
         &self,
@@ -323,30 +356,26 @@ impl Hierarchy {
             new.push((element.id, element.origin, octant(at) as u8));
             construction.places[l].push(at);
         }
-        let known = construction.kinds.levels[l].matrices.len();
         let list: Vec<Parts> = parts.iter().map(|p| p.1.clone()).collect();
-        let numbers = construction.kinds.matrices(l, &list, self.per_spacing);
-        let is_changed = |&(e, m): &(u32, u32)| level.matrix.get(e as usize) != Some(&m);
-        let matrix: Vec<(u32, u32)> = parts
-            .iter()
-            .map(|p| p.0)
-            .zip(numbers)
-            .filter(is_changed)
-            .collect();
-        let now: BTreeMap<u32, [u32; 8]> = coarse.corners.iter().copied().collect();
-        let mut bounds: BTreeSet<u32> = coarse.around.iter().map(|row| row.0).collect();
-        for (e, _) in &matrix {
-            bounds.extend(now.get(e).unwrap_or_else(|| &level.corners[*e as usize]));
+        let (numbers, matrices) = construction.kinds.matrices(l, &list, self.per_spacing);
+        let elements = parts.iter().map(|p| p.0);
+        for &former in elements
+            .clone()
+            .filter_map(|e| level.matrix.get(e as usize))
+        {
+            construction.kinds.levels[l].release(former);
         }
+        let is_changed = |&(e, m): &(u32, u32)| level.matrix.get(e as usize) != Some(&m);
+        let matrix = elements.zip(numbers).filter(is_changed).collect();
         LevelChange {
             corners: coarse.corners,
             new,
             children: Vec::new(),
             matrix,
-            matrices: construction.kinds.levels[l].matrices[known..].to_vec(),
+            matrices,
             origins: coarse.origins,
             around: coarse.around,
-            bounds,
+            bounds: Vec::new(),
             entries: coarse.entries,
         }
     }
@@ -360,16 +389,17 @@ impl Hierarchy {
     }
 
     fn apply_bricks(&mut self, change: &HierarchyChange) {
-        self.forms.extend(change.forms.iter().cloned());
-        let known = self.shared.len();
-        self.shared.resize(self.forms.len(), false);
+        for (number, form) in &change.forms {
+            set_numbered(&mut self.forms, *number, form);
+            set(&mut self.shared, *number, false);
+        }
         let mut used = vec![false; change.forms.len()];
-        for (&id, &(brick, element)) in &change.bricks {
+        for &(id, brick, element) in &change.bricks {
             set(&mut self.bricks, id, brick);
             set(&mut self.element_of, id, element);
-            let form = brick.form as usize;
-            let is_used = form < known || std::mem::replace(&mut used[form - known], true);
-            self.shared[form] |= is_used;
+            let new = change.forms.binary_search_by_key(&brick.form, |f| f.0);
+            let is_used = new.map_or(true, |new| std::mem::replace(&mut used[new], true));
+            self.shared[brick.form as usize] |= is_used;
         }
         for (node, row) in &change.around {
             self.around.set(*node, row);
@@ -379,7 +409,9 @@ impl Hierarchy {
     fn apply_level(&mut self, l: usize, change: &LevelChange) {
         let (finer, coarser) = self.levels.split_at_mut(l);
         let level = &mut coarser[0];
-        level.matrices.extend(change.matrices.iter().cloned());
+        for (number, matrix) in &change.matrices {
+            set_numbered(&mut level.matrices, *number, matrix);
+        }
         for &(e, _, octant) in &change.new {
             set(&mut level.octant, e, octant);
         }
@@ -395,8 +427,7 @@ impl Hierarchy {
         for (point, row) in &change.around {
             level.around.set(*point, row);
         }
-        for &point in &change.bounds {
-            let bound = level.bound_of(point);
+        for &(point, bound) in &change.bounds {
             set(&mut level.bound, point, bound);
         }
         let prolongation = if let Some(below) = finer.last_mut() {
@@ -419,16 +450,21 @@ impl Hierarchy {
     }
 }
 
-/// The cells all of whose corners are among these nodes, sorted: a superset of those that a cut changed.
-fn cells_within(topology: &Topology, touched: &[u32]) -> Changed {
-    let is_touched = |n: &u32| touched.binary_search(n).is_ok();
-    let around = touched.iter().flat_map(|&n| topology.cells_around(n));
-    let cells: BTreeSet<u32> = around.filter(|&c| c != NO_CELL).collect();
+/// Cells around the nodes that a cut doubled: all whose corners or open faces changed.
+fn parted_cells(topology: &Topology, outcome: &CutOutcome) -> Changed {
+    let nodes = outcome.doubled.iter().flat_map(|&(new, from)| [new, from]);
+    let cells = nodes.flat_map(|node| topology.cells_around(node));
     cells
-        .into_iter()
-        .filter(|&c| topology.corners(c).iter().all(is_touched))
-        .map(|c| (c, None))
+        .filter(|&cell| cell != NO_CELL)
+        .map(|cell| (cell, None))
         .collect()
+}
+
+fn sorted(items: impl Iterator<Item = u32>) -> Vec<u32> {
+    let mut list: Vec<u32> = items.collect();
+    list.sort_unstable();
+    list.dedup();
+    list
 }
 
 /// Moves nodes to the rows of the elements that they follow from now on.

@@ -3,16 +3,103 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::brick::Form;
+use super::brick::{Brick, DIRECTIONS, Form, LOCALS, SPAN};
 use super::element::{Matrix, Sum};
+use super::lanes::LANES;
 
-/// Forms and matrices, numbered permanently: a cut only computes new ones.
+/// Numbers of things that bricks or elements share, by their keys. A number that nothing uses any more is given to the
+/// next new thing: cuts replace forms all the time.
+#[derive(Clone)]
+struct Numbers<K> {
+    known: BTreeMap<K, u32>,
+    keys: Vec<Option<K>>,
+    uses: Vec<u32>,
+    unused: Vec<u32>,
+}
+
+impl<K> Default for Numbers<K> {
+    fn default() -> Self {
+        Self {
+            known: BTreeMap::new(),
+            keys: Vec::new(),
+            uses: Vec::new(),
+            unused: Vec::new(),
+        }
+    }
+}
+
+impl<K: Clone + Ord> Numbers<K> {
+    /// Numbers below `count` that are in use, each as often as listed.
+    fn used(count: usize, list: impl Iterator<Item = (u32, K)>) -> Self {
+        let mut numbers = Self {
+            keys: vec![None; count],
+            uses: vec![0; count],
+            ..Self::default()
+        };
+        for (number, key) in list {
+            let n = number as usize;
+            numbers.uses[n] += 1;
+            if numbers.keys[n].is_none() {
+                numbers.keys[n] = Some(key.clone());
+                numbers.known.insert(key, number);
+            }
+        }
+        let uses = (0..).zip(&numbers.uses);
+        numbers.unused = uses.filter(|n| *n.1 == 0).map(|n| n.0).collect();
+        numbers
+    }
+
+    /// The number of one more use of a key, and whether the key is new.
+    fn take(&mut self, key: &K) -> (u32, bool) {
+        if let Some(&number) = self.known.get(key) {
+            self.uses[number as usize] += 1;
+            return (number, false);
+        }
+        let number = self.unused.pop().unwrap_or_else(|| {
+            self.keys.push(None);
+            self.uses.push(0);
+            self.keys.len() as u32 - 1
+        });
+        self.keys[number as usize] = Some(key.clone());
+        self.uses[number as usize] = 1;
+        self.known.insert(key.clone(), number);
+        (number, true)
+    }
+
+    /// Ends a use of a number.
+    fn release(&mut self, number: u32) {
+        let uses = &mut self.uses[number as usize];
+        *uses -= 1;
+        if *uses == 0 {
+            if let Some(key) = self.keys[number as usize].take() {
+                self.known.remove(&key);
+            }
+            self.unused.push(number);
+        }
+    }
+}
+
+/// Things with their numbers.
+pub(super) type Numbered<T> = Vec<(u32, Arc<T>)>;
+
+/// Sets the thing with a number, which may be the next one.
+pub(super) fn set_numbered<T>(all: &mut Vec<Arc<T>>, number: u32, item: &Arc<T>) {
+    match all.get_mut(number as usize) {
+        Some(known) => *known = Arc::clone(item),
+        None => all.push(Arc::clone(item)),
+    }
+}
+
+/// Forms and matrices by their keys: a cut only computes new ones.
 #[derive(Clone, Default)]
 pub(super) struct Kinds {
     pub(super) forms: Vec<Arc<Form>>,
-    form_of: BTreeMap<u128, u32>,
+    form_numbers: Numbers<u128>,
+    /// Forms since the last change, in the order of their numbers' use.
+    new_forms: Numbered<Form>,
     pub(super) levels: Vec<LevelKinds>,
 }
 
@@ -20,19 +107,28 @@ pub(super) struct Kinds {
 #[derive(Clone, Default)]
 pub(super) struct LevelKinds {
     pub(super) matrices: Vec<Arc<Matrix>>,
-    known: BTreeMap<Parts, u32>,
+    numbers: Numbers<Parts>,
+}
+
+impl LevelKinds {
+    /// Ends the use of a matrix by an element.
+    pub(super) fn release(&mut self, matrix: u32) {
+        self.numbers.release(matrix);
+    }
 }
 
 /// Parts of an element: forms and fixed nodes of its bricks, or matrices and octants of its children.
 pub(super) type Parts = Vec<(u32, u32)>;
 
 impl Kinds {
-    /// Kinds with these forms.
-    pub(super) fn of_forms(forms: Vec<Arc<Form>>) -> Self {
+    /// Kinds of bricks with these forms.
+    pub(super) fn of_bricks(forms: &[Arc<Form>], bricks: &[Brick]) -> Self {
+        let keys: Vec<u128> = forms.iter().map(|form| form.key()).collect();
+        let uses = bricks.iter().map(|b| (b.form, keys[b.form as usize]));
         Self {
-            form_of: forms.iter().map(|form| form.key()).zip(0..).collect(),
-            forms,
-            levels: Vec::new(),
+            forms: forms.to_vec(),
+            form_numbers: Numbers::used(forms.len(), uses),
+            ..Self::default()
         }
     }
 
@@ -43,86 +139,151 @@ impl Kinds {
         matrix: &[u32],
         parts: Vec<Parts>,
     ) {
+        let uses = matrix.iter().copied().zip(parts);
         self.levels.push(LevelKinds {
             matrices: matrices.to_vec(),
-            known: parts.into_iter().zip(matrix.iter().copied()).collect(),
+            numbers: Numbers::used(matrices.len(), uses),
         });
     }
 
-    /// The number of a form with its key.
-    pub(super) fn form(&mut self, form: Arc<Form>, key: u128) -> u32 {
-        *self.form_of.entry(key).or_insert_with(|| {
-            self.forms.push(form);
-            self.forms.len() as u32 - 1
-        })
+    /// The number of a form with its key, for one more brick.
+    pub(super) fn form(&mut self, form: &Arc<Form>, key: u128) -> u32 {
+        let (number, is_new) = self.form_numbers.take(&key);
+        if is_new {
+            set_numbered(&mut self.forms, number, form);
+            self.new_forms.push((number, Arc::clone(form)));
+        }
+        number
     }
 
-    /// Numbers of the matrices of elements of a level; elements with equal parts share one.
-    pub(super) fn matrices(&mut self, l: usize, parts: &[Parts], per_spacing: f32) -> Vec<u32> {
+    /// Ends the use of a form by a brick.
+    pub(super) fn release_form(&mut self, number: u32) {
+        self.form_numbers.release(number);
+    }
+
+    /// The forms since the last change, sorted by their numbers.
+    pub(super) fn take_new_forms(&mut self) -> Numbered<Form> {
+        self.new_forms.sort_unstable_by_key(|form| form.0);
+        std::mem::take(&mut self.new_forms)
+    }
+
+    /// Numbers of the matrices of elements of a level, and the new ones; elements with equal parts share one.
+    pub(super) fn matrices(
+        &mut self,
+        l: usize,
+        parts: &[Parts],
+        per_spacing: f32,
+    ) -> (Vec<u32>, Numbered<Matrix>) {
         if self.levels.len() == l {
             self.levels.push(LevelKinds::default());
         }
         let (finer, coarser) = self.levels.split_at_mut(l);
         let finer = finer.last();
-        let LevelKinds { matrices, known } = &mut coarser[0];
-        let mut new: Vec<&Parts> = Vec::new();
-        let from = matrices.len();
-        let index = parts
-            .iter()
-            .map(|list| {
-                if let Some(&index) = known.get(list) {
-                    return index;
-                }
-                let index = (from + new.len()) as u32;
-                known.insert(list.clone(), index);
-                new.push(list);
-                index
-            })
-            .collect();
+        let LevelKinds { matrices, numbers } = &mut coarser[0];
+        let mut new: Vec<(u32, &Parts)> = Vec::new();
+        let number = |list| {
+            let (number, is_new) = numbers.take(list);
+            new.extend(is_new.then_some((number, list)));
+            number
+        };
+        let index = parts.iter().map(number).collect();
         let forms = &self.forms;
-        let made: Vec<Arc<Matrix>> = new
+        let arch = Arch::new();
+        let made: Numbered<Matrix> = new
             .par_iter()
-            .map(|list| {
-                let mut sum = Sum::new();
-                for &(part, how) in *list {
-                    match finer {
-                        None => sum.add_brick(&forms[part as usize], how, per_spacing),
-                        Some(level) => {
-                            sum.add_child(&level.matrices[part as usize], how as usize);
-                        }
-                    }
-                }
-                let alike = list.iter().all(|part| part.0 == list[0].0)
-                    && match finer {
-                        None => forms[list[0].0 as usize].is_regular(per_spacing),
-                        Some(level) => level.matrices[list[0].0 as usize].even,
-                    };
-                Arc::new(sum.finish(alike))
+            .map(|&(number, list)| {
+                let matrix = arch.dispatch(MatrixOf {
+                    list,
+                    forms,
+                    finer,
+                    per_spacing,
+                });
+                (number, Arc::new(matrix))
             })
             .collect();
-        matrices.extend(made);
-        index
+        // New numbers beyond the known ones ascend.
+        for (number, matrix) in &made {
+            set_numbered(matrices, *number, matrix);
+        }
+        (index, made)
     }
 }
+
+/// The matrix of an element with these parts.
+struct MatrixOf<'a> {
+    list: &'a Parts,
+    forms: &'a [Arc<Form>],
+    finer: Option<&'a LevelKinds>,
+    per_spacing: f32,
+}
+
+impl WithSimd for MatrixOf<'_> {
+    type Output = Matrix;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Matrix {
+        let Self { list, forms, .. } = self;
+        let mut sum = Sum::new();
+        for &(part, how) in list {
+            match self.finer {
+                None => sum.add_brick(simd, &forms[part as usize], how, self.per_spacing),
+                Some(level) => sum.add_child(simd, &level.matrices[part as usize], how as usize),
+            }
+        }
+        let alike = list.iter().all(|part| part.0 == list[0].0)
+            && match self.finer {
+                None => forms[list[0].0 as usize].is_regular(self.per_spacing),
+                Some(level) => level.matrices[list[0].0 as usize].even,
+            };
+        sum.finish(simd, alike)
+    }
+}
+
+/// Size of the numbers that a key covers.
+const KEY_BYTES: usize = size_of::<f32>() * (3 * LOCALS + DIRECTIONS * SPAN + 3 * LANES + 3);
 
 impl Form {
     /// Equal keys mean equal forms.
     pub(super) fn key(&self) -> u128 {
-        let mut hasher = xxhash_rust::xxh3::Xxh3::new();
-        let mut take = |values: &[f32]| {
-            for v in values {
-                hasher.update(&v.to_bits().to_le_bytes());
+        let arrays = self.rest.iter().map(|axis| &axis[..LOCALS]);
+        let arrays = arrays.chain(self.stiffness.iter().map(|row| &row[..]));
+        let curve = [
+            self.curve.stiffening,
+            self.curve.limits[0],
+            self.curve.limits[1],
+        ];
+        let arrays = arrays.chain([&self.bulk[..], &self.per_volume, &curve, &self.corner]);
+        let mut bytes = [0; KEY_BYTES];
+        let mut left = &mut bytes[..];
+        for values in arrays {
+            let (now, later) = left.split_at_mut(size_of_val(values));
+            for (to, v) in now.chunks_exact_mut(size_of::<f32>()).zip(values) {
+                to.copy_from_slice(&v.to_bits().to_le_bytes());
             }
-        };
-        self.rest
-            .iter()
-            .for_each(|axis| take(&axis[..super::brick::LOCALS]));
-        self.stiffness.iter().for_each(|row| take(row));
-        take(&self.bulk);
-        take(&self.per_volume);
-        take(&[self.curve.stiffening]);
-        take(&self.curve.limits);
-        take(&self.corner);
-        hasher.digest128()
+            left = later;
+        }
+        xxhash_rust::xxh3::xxh3_128(&bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn number_is_given_again_only_after_its_last_use() {
+        let mut numbers = Numbers::default();
+        assert_eq!(numbers.take(&'a'), (0, true));
+        assert_eq!(numbers.take(&'b'), (1, true));
+        assert_eq!(numbers.take(&'a'), (0, false));
+        numbers.release(0);
+        assert_eq!(numbers.take(&'c'), (2, true));
+        numbers.release(0);
+        assert_eq!(numbers.take(&'d'), (0, true));
+        assert_eq!(numbers.take(&'a'), (3, true));
+        let mut same = Numbers::used(4, [(2, 'c'), (3, 'a'), (3, 'a')].into_iter());
+        assert_eq!(same.take(&'c'), (2, false));
+        assert_eq!(same.take(&'e').0 + same.take(&'f').0, 1);
+        assert_eq!(same.take(&'g'), (4, true));
     }
 }

@@ -10,6 +10,16 @@ use pulp::Simd;
 /// Padding of all rows, in lanes; a multiple of every width in use.
 pub(crate) const LANES: usize = 16;
 
+/// `to += w from` in f64; lengths are whole vectors of any width in use.
+#[inline(always)]
+pub(crate) fn add_scaled<S: Simd>(simd: S, to: &mut [f64], w: f64, from: &[f64]) {
+    let (to, from) = (S::as_mut_simd_f64s(to).0, S::as_simd_f64s(from).0);
+    let w = simd.splat_f64s(w);
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = simd.add_f64s(*to, simd.mul_f64s(w, *from));
+    }
+}
+
 /// A vector.
 #[derive(Clone, Copy)]
 pub(crate) struct V<S: Simd> {

@@ -154,6 +154,11 @@ impl Elastic {
         }
     }
 
+    /// Whether the stiffness of springs depends on their directions.
+    pub(crate) fn has_fibres(&self) -> bool {
+        self.fibre_strength != 0.0
+    }
+
     /// Factor of a spring in direction `d` by its angle to the fibres.
     pub(crate) fn fibre_factor(&self, d: &Vec3) -> f64 {
         let square = d.norm_squared();

@@ -139,6 +139,7 @@ const CONTRAST: f64 = 64.0;
 
 impl Short {
     /// The nearest 16-bit matrix; `None` if its corners are too different.
+    #[inline(always)]
     pub(crate) fn new(k: &[[f64; SIZE]; SIZE]) -> Option<Self> {
         let diagonal = || (0..SIZE).map(|i| k[i][i]).filter(|&v| v != 0.0);
         let largest = diagonal().fold(0.0, f64::max);
@@ -147,21 +148,32 @@ impl Short {
             return None;
         }
         let scale = largest / LARGEST;
+        let per_scale = 1.0 / scale;
+        let mut rounded = [[0i16; SIZE]; SIZE];
+        for (to, from) in rounded.as_flattened_mut().iter_mut().zip(k.as_flattened()) {
+            *to = (from * per_scale).round() as i16;
+        }
         let mut columns = [[0i16; ROWS]; SIZE];
-        for j in 0..SIZE {
+        for (column, from) in columns.iter_mut().zip(&rounded) {
             for c in 0..8 {
                 for a in 0..3 {
-                    columns[j][lane(c, a)] = (k[j][at(c, a)] / scale).round() as i16;
+                    column[lane(c, a)] = from[at(c, a)];
                 }
             }
         }
-        for c in 0..8 {
-            for (a, b) in (0..9).map(|i| (i / 3, i % 3)) {
-                let whole: f64 = (0..8).map(|q| k[at(q, b)][at(c, a)]).sum();
-                if whole.abs() <= NOTHING * largest {
-                    let row = (0..8).map(|q| i32::from(columns[at(q, b)][lane(c, a)]));
+        for b in 0..3 {
+            // Sums of all blocks of a row.
+            let (mut whole, mut row) = ([0.0; SIZE], [0i32; SIZE]);
+            for q in 0..8 {
+                for i in 0..SIZE {
+                    whole[i] += k[at(q, b)][i];
+                    row[i] += i32::from(rounded[at(q, b)][i]);
+                }
+            }
+            for (c, a) in (0..SIZE).map(|i| (i / 3, i % 3)) {
+                if whole[at(c, a)].abs() <= NOTHING * largest {
                     // A rounding or two per block: see LARGEST.
-                    columns[at(c, b)][lane(c, a)] -= row.sum::<i32>() as i16;
+                    columns[at(c, b)][lane(c, a)] -= row[at(c, a)] as i16;
                 }
             }
         }
@@ -190,6 +202,24 @@ impl Stiffness {
             Self::Full(k) => k.0[column][row],
             Self::Short(k) => k.scale * f32::from(k.columns[column][row]),
         }
+    }
+
+    /// The matrix in double precision.
+    #[inline(always)]
+    pub(crate) fn dense(&self) -> [[f64; SIZE]; SIZE] {
+        let mut dense = [[0.0; SIZE]; SIZE];
+        for (j, to) in dense.iter_mut().enumerate() {
+            let column = match self {
+                Self::Full(k) => k.0[j],
+                Self::Short(k) => k.columns[j].map(|v| k.scale * f32::from(v)),
+            };
+            for c in 0..8 {
+                for a in 0..3 {
+                    to[at(c, a)] = column[lane(c, a)].into();
+                }
+            }
+        }
+        dense
     }
 
     /// Adds this matrix to another.

@@ -88,6 +88,7 @@ mod work_limit;
 
 pub use budget::{Budget, StepReport};
 pub use cut_preparer::{CutPreparer, PreparedCut, Retired};
+pub(crate) use lanes::add_scaled;
 pub(crate) use law::Elastic;
 pub(crate) use mechanism::Disabled;
 pub use mechanism::Mechanism;

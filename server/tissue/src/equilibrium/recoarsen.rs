@@ -4,9 +4,9 @@
 //! keep their numbers, and new ones are appended. So only the places of changed cells, and the points of their elements,
 //! are looked at.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
 
-use super::brick::CORNER;
+use super::brick::{CORNER, LOCALS};
 use super::coarsen::{Sets, octant, place, support};
 use super::construction::Places;
 use super::hierarchy::{Level, Table};
@@ -54,24 +54,19 @@ pub(super) fn recoarsen(
     changed: &Changed,
 ) -> Recoarsened {
     let elements = split(cells, (level, places, members), changed);
-    let points: BTreeSet<u32> = elements
+    let corners = elements
         .iter()
-        .flat_map(|e| level.corners[e.origin as usize])
-        .collect();
-    // All elements at these points, with their former corners and their cells.
-    let mut near: BTreeMap<u32, ([u32; 8], &[u32])> = BTreeMap::new();
-    for &e in points.iter().flat_map(|&p| level.around.row(p)) {
-        near.insert(e, (level.corners[e as usize], members.row(e)));
-    }
-    for e in &elements {
-        near.insert(e.id, (level.corners[e.origin as usize], &e.cells));
-    }
-    let (corners, origins) = merge(cells, level.points(), &points, &near);
+        .flat_map(|e| level.corners[e.origin as usize]);
+    let points = sorted(corners.collect());
+    let near = elements_near(&elements, (level, members), &points);
+    let (corners, origins) = merge(cells, level.points(), &near);
     let mut around: BTreeMap<u32, Vec<u32>> = points.iter().map(|&p| (p, Vec::new())).collect();
-    for (&e, corners) in near.keys().zip(&corners) {
+    for (element, corners) in near.iter().zip(&corners) {
         for &point in corners {
-            if points.contains(&point) || point as usize >= level.points() {
-                around.entry(point).or_default().push(e);
+            if let Some(row) = around.get_mut(&point) {
+                row.push(element.id);
+            } else if point as usize >= level.points() {
+                around.insert(point, vec![element.id]);
             }
         }
     }
@@ -85,7 +80,7 @@ pub(super) fn recoarsen(
         }
     }
     let known = |e: u32| level.corners.get(e as usize).copied();
-    let corners = near.keys().copied().zip(corners);
+    let corners = near.iter().map(|e| e.id).zip(corners);
     Recoarsened {
         corners: corners.filter(|(e, c)| known(*e) != Some(*c)).collect(),
         elements,
@@ -153,44 +148,93 @@ fn split(
     elements
 }
 
-/// Corners of the elements near these points, whose corners are merged again, and the origin of each new point.
-fn merge(
-    cells: &impl Cells,
-    count: usize,
-    points: &BTreeSet<u32>,
-    near: &BTreeMap<u32, ([u32; 8], &[u32])>,
-) -> (Vec<[u32; 8]>, Vec<u32>) {
-    let mut slots = Sets::new(near.len() * 8);
-    let mut first: HashMap<(u32, usize), u32> = HashMap::new();
-    for (k, (former, members)) in near.values().enumerate() {
-        for &cell in *members {
+fn sorted(mut list: Vec<u32>) -> Vec<u32> {
+    list.sort_unstable();
+    list.dedup();
+    list
+}
+
+/// An element with points that are merged again.
+struct Near<'a> {
+    id: u32,
+    /// Its corners before the change.
+    former: [u32; 8],
+    cells: &'a [u32],
+    /// Bit `s` is set where corner `s` is merged again.
+    slots: u8,
+}
+
+/// All elements at these points, sorted.
+fn elements_near<'a>(
+    elements: &'a [ChangedElement],
+    (level, members): (&Level, &'a Table),
+    points: &[u32],
+) -> Vec<Near<'a>> {
+    let changed: BTreeMap<u32, &ChangedElement> = elements.iter().map(|e| (e.id, e)).collect();
+    let others = points.iter().flat_map(|&p| level.around.row(p)).copied();
+    let near = others.chain(changed.keys().copied()).collect();
+    let element = |id: u32| {
+        let change = changed.get(&id);
+        let former = level.corners[change.map_or(id, |e| e.origin) as usize];
+        let is_merged = |slot: &usize| points.binary_search(&former[*slot]).is_ok();
+        Near {
+            id,
+            former,
+            cells: change.map_or_else(|| members.row(id), |e| &e.cells),
+            slots: (0..8)
+                .filter(is_merged)
+                .fold(0, |bits, slot| bits | 1 << slot),
+        }
+    };
+    sorted(near).into_iter().map(element).collect()
+}
+
+/// Corners of elements after their points are merged again, and the origin of each new point. `count` is the former number
+/// of points.
+fn merge(cells: &impl Cells, count: usize, near: &[Near<'_>]) -> (Vec<[u32; 8]>, Vec<u32>) {
+    // A finer point merges the slots that it depends on in all elements, by its odd axes.
+    let mut uses: Vec<(u64, u32)> = Vec::with_capacity(32 * near.len());
+    for (element, first) in near.iter().zip((0..).step_by(8)) {
+        let mut known = [u32::MAX; LOCALS];
+        for &cell in element.cells {
             let own = octant(cells.at(cell));
             for (corner, point) in cells.corners(cell).into_iter().enumerate() {
+                let place = CORNER[own][corner];
+                if std::mem::replace(&mut known[place], point) == point {
+                    continue;
+                }
                 for (low, slot) in support(own, corner) {
-                    if points.contains(&former[slot]) {
-                        let slot = (k * 8 + slot) as u32;
-                        let known = *first.entry((point, low)).or_insert(slot);
-                        slots.join(known, slot);
+                    if element.slots >> slot & 1 == 1 {
+                        uses.push((u64::from(point) << 3 | low as u64, first + slot as u32));
                     }
                 }
             }
         }
     }
-    let mut number: HashMap<u32, u32> = HashMap::new();
+    uses.sort_unstable();
+    let mut slots = Sets::new(near.len() * 8);
+    for pair in uses.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
+        slots.join(pair[0].1, pair[1].1);
+    }
+    let mut number = vec![u32::MAX; near.len() * 8];
     let (mut kept, mut origins) = (BTreeSet::new(), Vec::new());
     let mut corners = Vec::with_capacity(near.len());
-    for (k, (former, _)) in near.values().enumerate() {
-        let mut now = *former;
-        for (s, point) in now.iter_mut().enumerate().filter(|p| points.contains(p.1)) {
-            let root = slots.find((k * 8 + s) as u32);
-            *point = *number.entry(root).or_insert_with(|| {
-                if kept.insert(*point) {
+    for (element, first) in near.iter().zip((0..).step_by(8)) {
+        let mut now = element.former;
+        for (slot, point) in now.iter_mut().enumerate() {
+            if element.slots >> slot & 1 == 0 {
+                continue;
+            }
+            let number = &mut number[slots.find(first + slot as u32) as usize];
+            if *number == u32::MAX {
+                *number = if kept.insert(*point) {
                     *point
                 } else {
                     origins.push(*point);
                     (count + origins.len() - 1) as u32
-                }
-            });
+                };
+            }
+            *point = *number;
         }
         corners.push(now);
     }

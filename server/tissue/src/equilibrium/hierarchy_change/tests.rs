@@ -2,6 +2,9 @@
 
 use proptest::prelude::*;
 
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
 use super::*;
 use crate::{BladePoint, CutStroke, Material, Vec3, block, cut};
 
@@ -146,7 +149,7 @@ proptest! {
         let mut applied = followed.clone();
         for stroke in strokes {
             if let Ok(outcome) = cut(&mut topology, &stroke) {
-                let change = followed.follow(&mut construction, &topology, &outcome.touched);
+                let change = followed.follow(&mut construction, &topology, &outcome);
                 applied.apply(&change);
                 let built = Hierarchy::new(&topology);
                 assert_same(&topology, &followed, &built);
@@ -155,6 +158,7 @@ proptest! {
                 for e in 0..followed.levels[0].corners.len() as u32 {
                     assert_eq!(construction.cells.row(e), derived.cells.row(e));
                 }
+                assert_eq!(construction.element_of, derived.element_of);
                 for (known, derived) in construction.places.iter().zip(&derived.places) {
                     assert_eq!(known.of, derived.of);
                 }

@@ -21,7 +21,7 @@ fn brick(stiffening: f64, bottoms_out: bool) -> (Brick, Form, Vec<Vec3>) {
     let cells: Vec<(usize, u32)> = (0..8).map(|c| (c, c as u32)).collect();
     let mut drafts = Vec::new();
     Draft::of(&topology, &cells, &mut drafts);
-    let (brick, form) = drafts[0].finish(&topology);
+    let (brick, form) = drafts[0].finish(Scalar::new(), &topology);
     let u = (0..27)
         .map(|i| Vec3::new(noise(i, 3), noise(i, 4), noise(i, 5)) * 9e-3)
         .collect();
