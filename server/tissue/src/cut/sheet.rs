@@ -50,16 +50,16 @@ pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId
     for (key, chunks) in ribbon.buckets() {
         let chunks: Vec<&Chunk> = chunks.collect();
         for cell in index.cells(key) {
-            let from = weighted_centre(topology, cell) + TIE * spacing;
+            let centre = topology.centre(cell);
             near.clear();
             for chunk in &chunks {
-                if chunk.bounds.distance_squared(&from) < reach * reach {
+                if chunk.bounds.distance_squared(&centre) < reach * reach {
                     let triangles = ribbon.triangles(chunk).iter();
-                    near.extend(triangles.filter(|t| t.height(&from).abs() < reach));
+                    near.extend(triangles.filter(|t| t.height(&centre).abs() < reach));
                 }
             }
             if !near.is_empty() {
-                meet(topology, cell, &from, &near, &mut met);
+                meet(topology, cell, &near, &mut met);
             }
         }
     }
@@ -92,15 +92,16 @@ fn weighted_centre(topology: &Topology, cell: u32) -> Vec3 {
 }
 
 /// Tests the three upper faces of a cell against nearby triangles.
-fn meet(topology: &Topology, cell: u32, from: &Vec3, near: &[&Triangle], met: &mut Met) {
+fn meet(topology: &Topology, cell: u32, near: &[&Triangle], met: &mut Met) {
     let spacing = topology.model.spacing_m;
+    let from = weighted_centre(topology, cell) + TIE * spacing;
     for face in [1, 3, 5] {
         let other = topology.model.cells[cell as usize].neighbours[face];
         if other == NO_CELL {
             continue;
         }
         let to = weighted_centre(topology, other) + TIE * spacing;
-        if !near.iter().any(|t| t.crosses(from, &to)) {
+        if !near.iter().any(|t| t.crosses(&from, &to)) {
             continue;
         }
         let id = FaceId::new(cell, face);
