@@ -34,7 +34,7 @@ const PATIENCE: usize = 100;
 const GROWTH: f64 = 1.05;
 /// Rounds in which nodes of unsound cells go back: those on interfaces by half in the first and as a whole in the second,
 /// then all.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 5;
 /// A violated constraint of a corner and of a spring is met with this much to spare, relative to the floor, so that fewer
 /// sweeps suffice and later cuts find room.
 const CORNER_MARGIN: f64 = 1.0;
