@@ -27,8 +27,9 @@ use super::soundness::{CORNER_FLOOR, Soundness, span};
 use crate::cell::{NO_CELL, PAIRS};
 use crate::{Topology, Vec3};
 
-/// Most sweeps of one round.
+/// Most sweeps before nodes go back, and after each time that they did.
 const SWEEPS: usize = 160;
+const SWEEPS_BACK: usize = 24;
 /// Sweeps after which the slabs of nodes in unsound cells grow, and by which factor per sweep.
 const PATIENCE: usize = 100;
 const GROWTH: f64 = 1.05;
@@ -89,7 +90,7 @@ impl<'a> Projections<'a> {
 
     /// Moves nodes until all cells are sound, or gives nodes up.
     pub(crate) fn run(&mut self) {
-        self.sweep();
+        self.sweep(SWEEPS);
         for round in 0..ROUNDS {
             self.give_up_drifted();
             let unsound = self.patch.unsound();
@@ -112,7 +113,7 @@ impl<'a> Projections<'a> {
                     self.give_up(n);
                 }
             }
-            self.sweep();
+            self.sweep(SWEEPS_BACK);
         }
         self.give_up_drifted();
     }
@@ -145,9 +146,9 @@ impl<'a> Projections<'a> {
         }
     }
 
-    fn sweep(&mut self) {
+    fn sweep(&mut self, most: usize) {
         let mut active = vec![true; self.patch.cells.len()];
-        for sweep in 1..=SWEEPS {
+        for sweep in 1..=most {
             for c in 0..active.len() {
                 let is_unsound = std::mem::take(&mut active[c]) && self.correct(c);
                 if is_unsound && sweep > PATIENCE {
