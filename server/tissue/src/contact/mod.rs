@@ -25,12 +25,17 @@
 //! The tissue is pressed by the proxy of a tool, which stays on its side of the surface: it stops at first touch, and
 //! in contact moves by at most half a radius per iteration. A tool that jumps, or appears inside the tissue, is
 //! followed from outside.
+//!
+//! A needle presses likewise until its tip carries the force that the surface withstands. Then it is inserted: the tissue
+//! is tied to its shaft (`channel`), and the surface does not press on it until it is withdrawn.
 
 mod ball;
+mod channel;
 mod clearance;
 mod contact_sample;
 mod contacts;
 mod core;
+mod insertion;
 mod line_search;
 mod outwards;
 mod proxy;
@@ -39,12 +44,13 @@ mod surface;
 mod surface_index;
 #[cfg(test)]
 mod tests;
+mod tie;
 mod tool;
 mod watched;
 
 pub use clearance::Clearance;
-pub use reaction::{ContactPatch, Reaction};
-pub use tool::{Form, TOOL_REACH_MAX_M, Tool};
+pub use reaction::{ContactPatch, Reaction, ShaftReaction};
+pub use tool::{Form, Needle, TOOL_REACH_MAX_M, Tool};
 
 pub(crate) use contacts::Contacts;
 pub(crate) use line_search::LineSearch;

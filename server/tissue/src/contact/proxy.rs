@@ -3,6 +3,7 @@
 use nalgebra::UnitQuaternion;
 
 use super::ball::Ball;
+use super::channel::Channel;
 use super::core::Core;
 use super::reaction::Secant;
 use super::surface::{Foot, Surface, area_normal, blend};
@@ -49,6 +50,8 @@ pub(crate) struct Proxy {
     pub(crate) placed: bool,
     pub(crate) seen: bool,
     pub(super) secant: Secant,
+    /// Of an inserted needle.
+    pub(super) channel: Option<Channel>,
 }
 
 impl Proxy {
@@ -69,6 +72,7 @@ impl Proxy {
             placed: false,
             seen: true,
             secant: Secant::default(),
+            channel: None,
         }
     }
 
@@ -185,7 +189,7 @@ impl Proxy {
         let from = (self.at, self.turn);
         if self.touching {
             let deeper = self.depth > WAIT * stride && length > WAIT * stride;
-            if deeper {
+            if deeper && self.channel.is_none() {
                 return;
             }
             if length <= stride {

@@ -121,7 +121,9 @@ impl Solver {
                 }
             }
             self.report.reactions.push(reaction);
+            self.contacts.end_insertion(topology, u, &self.fine.own, i);
         }
+        self.report.steady &= !self.contacts.is_unsettled;
         self.report.active_nodes = self.fine.nodes.items.len();
         self.report.visits = [self.fine.visits, self.coarse.visits];
         self.report.clamped = self.fine.clamped;
