@@ -10,9 +10,10 @@
 
 use nalgebra::Vector3;
 use palpate_device::{
-    DeviceTime, Faults, ForceState, HapticDevice, Pose, Rejection, Sample, Wrench, Written,
+    Buttons, DeviceTime, Faults, ForceState, HapticDevice, Pose, Rejection, Sample, Wrench, Written,
 };
 use palpate_haptics::{Chain, ContactModel, Events, Tick};
+use palpate_protocol::tool::INSERTED_BUTTON;
 use palpate_protocol::{ClientTime, LocalSample, Span};
 
 use super::clock::device_time;
@@ -44,6 +45,8 @@ pub struct Frame {
     pub events: Events,
     /// Age of the contact model in use.
     pub contact_age: Span,
+    /// Whether the tool is a needle in the tissue.
+    pub is_inserted: bool,
 }
 
 impl Frame {
@@ -57,11 +60,23 @@ impl Frame {
             proxy_offset: Vector3::zeros(),
             events: Events::NONE,
             contact_age: Span::ZERO,
+            is_inserted: false,
         }
+    }
+
+    /// The buttons of the tool as in a protocol sample.
+    pub fn tool_buttons(&self) -> u8 {
+        tool_buttons(self.sample.buttons, self.is_inserted)
     }
 }
 
-/// A tick of the force loop as a protocol sample, which holds eight buttons.
+/// Buttons of a device and the state of its tool as in a protocol sample, which holds seven buttons.
+pub fn tool_buttons(buttons: Buttons, is_inserted: bool) -> u8 {
+    let held = buttons.bits() as u8 & !INSERTED_BUTTON;
+    held | if is_inserted { INSERTED_BUTTON } else { 0 }
+}
+
+/// A tick of the force loop as a protocol sample.
 pub fn local_sample(frame: &Frame) -> LocalSample {
     let q = frame.sample.pose.orientation;
     LocalSample {
@@ -70,7 +85,7 @@ pub fn local_sample(frame: &Frame) -> LocalSample {
             position_m: frame.sample.pose.position.into(),
             orientation: [q.i, q.j, q.k, q.w],
         },
-        buttons: (frame.sample.buttons.bits() & 0xff) as u8,
+        buttons: frame.tool_buttons(),
         force_n: Some(frame.wrench.force.into()),
     }
 }
@@ -210,6 +225,12 @@ impl HandLoop {
             proxy_offset: tick.proxy_offset,
             events: tick.events,
             contact_age: tick.contact_age,
+            // A rejected model does not withdraw the needle.
+            is_inserted: if model.is_usable() {
+                model.is_inserted
+            } else {
+                self.last.is_inserted
+            },
         };
         Turned {
             frame: self.last,

@@ -37,7 +37,7 @@ const ROUNDING: f64 = 1e-9;
 /// Most cells that a search passes: a straight line through a large model.
 const WALK_MAX: usize = 256;
 /// Trial steps from a tip into the tissue under it, and their number per pitch.
-const TRIALS: usize = 8;
+const TRIALS: usize = 4;
 const TRIALS_PER_PITCH: f64 = 4.0;
 
 /// A needle in a pose.

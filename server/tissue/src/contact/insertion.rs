@@ -26,7 +26,8 @@ impl Proxy {
         let Some(needle) = self.target.needle else {
             return;
         };
-        if needle.decides && self.placed {
+        let is_new = !std::mem::replace(&mut self.has_begun, true);
+        if needle.decides && !is_new {
             return;
         }
         if !needle.is_inserted {

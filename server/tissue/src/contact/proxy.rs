@@ -50,6 +50,8 @@ pub(crate) struct Proxy {
     pub(crate) placed: bool,
     pub(crate) seen: bool,
     pub(super) secant: Secant,
+    /// Whether the state of its needle was taken over in its first step.
+    pub(super) has_begun: bool,
     /// Of an inserted needle.
     pub(super) channel: Option<Channel>,
 }
@@ -72,6 +74,7 @@ impl Proxy {
             placed: false,
             seen: true,
             secant: Secant::default(),
+            has_begun: false,
             channel: None,
         }
     }
