@@ -429,9 +429,13 @@ mod tests {
         }
 
         fn turn(&mut self) -> Turned {
+            self.turn_with(|_| ())
+        }
+
+        fn turn_with(&mut self, change: impl Fn(&mut ContactModel)) -> Turned {
             self.us += 1000;
             let now = ClientTime::from_micros(self.us);
-            let model = ContactModel {
+            let mut model = ContactModel {
                 topology_version: 1,
                 solved_at: now,
                 external_work_j: self.us as f64 * 1e-6,
@@ -442,6 +446,7 @@ mod tests {
                     Vector3::z(),
                 ))
             };
+            change(&mut model);
             self.hand.turn(now, LoopCommands::default(), &model)
         }
 
@@ -459,6 +464,22 @@ mod tests {
             }
             largest
         }
+    }
+
+    #[test]
+    fn samples_carry_the_insertion_of_the_needle_and_a_rejected_model_does_not_withdraw_it() {
+        let mut run = Run::pressed();
+        let buttons = |turned: Turned| local_sample(&turned.frame).buttons;
+        assert_eq!(buttons(run.turn()), 0);
+        assert_eq!(
+            buttons(run.turn_with(|model| model.is_inserted = true)),
+            INSERTED_BUTTON
+        );
+        let rejected = run.turn_with(|model| model.couple.x = f64::NAN);
+        assert_eq!(buttons(rejected), INSERTED_BUTTON);
+        assert_eq!(buttons(run.turn()), 0);
+        // The device has no say in it.
+        assert_eq!(tool_buttons(Buttons::from_bits(0x1ff), false), 0x7f);
     }
 
     #[test]

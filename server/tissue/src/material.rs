@@ -48,7 +48,7 @@ pub struct Material {
     /// Coefficient of dynamic friction against a tool; not above the static one.
     pub friction_dynamic: f64,
     /// Fracture toughness against a sharp blade in J/m², the work per area of the cut: an edge that cuts feels this force per
-    /// length in N/m.
+    /// length in N/m, and a needle per width.
     pub toughness_j_m2: f64,
     /// Source of the values.
     pub source: String,

@@ -26,7 +26,7 @@ use crate::{Material, Topology, Vec3};
 const HOLD: f64 = 5.0;
 /// Part of the dynamic limit below which a sliding tie sticks again.
 const STICKS: f64 = 0.9;
-/// Distance of the tip from the surface at which the needle is out, in pitches.
+/// Distance of the end of the tip from the surface at which the needle is out, in pitches.
 const OUT: f64 = 0.25;
 /// Change of a force at the end of a step, in N, after which the tissue is solved again.
 const CHANGED_N: f64 = 1e-3;
@@ -36,8 +36,7 @@ const POINTS_MAX: f64 = 256.0;
 const ROUNDING: f64 = 1e-9;
 /// Most cells that a search passes: a straight line through a large model.
 const WALK_MAX: usize = 256;
-/// Trial steps from a tip into the tissue under it, and their number per pitch.
-const TRIALS: usize = 4;
+/// Trial steps along the axis in search of the surface, per pitch.
 const TRIALS_PER_PITCH: f64 = 4.0;
 
 /// A needle in a pose.
@@ -182,7 +181,9 @@ impl Channel {
     pub(super) fn along(around: &Around<'_>, rod: &Rod, from: u32, pressed_n: f64) -> Option<Self> {
         let pitch = rod.pitch_m;
         let step = pitch / TRIALS_PER_PITCH;
-        let trials = (0..TRIALS).map(|i| -(i as f64) * step);
+        // A tip presses by its radius before it is in the tissue.
+        let trials = (rod.radius_m / step).ceil() as usize + 2;
+        let trials = (0..trials).map(|i| -(i as f64) * step);
         let (low, first) = { trials }.find_map(|z| Some((z, around.locate(&rod.at(z), from)?)))?;
         let (mut top, mut cell) = (low, first.cell);
         while let Some(found) = around.locate(&rod.at(top + step), cell) {
@@ -278,7 +279,7 @@ impl Channel {
         self.advance(around, rod, &mut change);
         let entry = &self.anchors[0];
         let surface_m = rod.along(&around.position(&entry.at)) + 0.5 * rod.pitch_m;
-        change.is_out = surface_m < -OUT * rod.pitch_m;
+        change.is_out = surface_m < -(rod.radius_m + OUT * rod.pitch_m);
         change
     }
 

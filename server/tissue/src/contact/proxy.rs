@@ -83,7 +83,12 @@ impl Proxy {
     pub(crate) fn follow(&mut self, tool: &Tool) -> bool {
         let changed = self.target != *tool;
         let other = self.target.form != tool.form;
+        let is_other_needle = other || self.target.needle.is_some() != tool.needle.is_some();
         self.target = *tool;
+        if is_other_needle {
+            self.channel = None;
+            self.has_begun = false;
+        }
         if other {
             // A closing jaw meets the tissue between its parts from outside.
             self.set(self.at, self.turn);
