@@ -130,7 +130,7 @@ fn needle_punctures_at_its_cutting_force_slides_with_friction_and_leaves() {
     // Back: the friction alone, after the tie has turned around.
     let mut out = Vec::new();
     bench.go(over(0.0, 10.0 * MM), |at, r| {
-        out.push((TOP - at.z, axial(r), r.shaft.is_some()))
+        out.push((TOP - at.z, axial(r), r.shaft.is_some()));
     });
     let [at_rest, _] = friction_n_m();
     let lowest = out.iter().map(|o| o.1).fold(0.0, f64::min);

@@ -182,7 +182,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         let model = block(CELLS, SPACING_M, &material, 1);
         let pushed = pierce(name, &vec![(material, top_m())], model)?;
         let all = [pushed.into, pushed.out].concat();
-        lines.push(Line::new(name, colour, mm(&all).into_iter()));
+        lines.push(Line::new(name, colour, mm(&all)));
     }
     let layer = |(name, cells): (&str, usize)| Ok((resolve(name)?, cells as f64 * SPACING_M));
     let layers = LAYERS
@@ -204,20 +204,10 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         points.iter().map(|p| (1e3 * p[0], force(p[0]))).collect()
     };
     let in_layers = [
-        Line::new("in", BLUE, mm(&pushed.into).into_iter()),
-        Line::new("out", ORANGE, mm(&pushed.out).into_iter()),
-        Line::new(
-            "closed form, undeformed",
-            GREY,
-            form(1.0, &pushed.into).into_iter(),
-        )
-        .dashed(true),
-        Line::new(
-            "closed form, out",
-            GREY,
-            form(-1.0, &pushed.out).into_iter(),
-        )
-        .dashed(true),
+        Line::new("in", BLUE, mm(&pushed.into)),
+        Line::new("out", ORANGE, mm(&pushed.out)),
+        Line::new("closed form, undeformed", GREY, form(1.0, &pushed.into)).dashed(true),
+        Line::new("closed form, out", GREY, form(-1.0, &pushed.out)).dashed(true),
     ];
     let chart = |title: &str, lines: Vec<Line>| {
         let panel = Panel::new("Force along the shaft", "force (N)", lines);

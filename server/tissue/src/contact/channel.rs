@@ -183,8 +183,8 @@ impl Channel {
         let step = pitch / TRIALS_PER_PITCH;
         // A tip presses by its radius before it is in the tissue.
         let trials = (rod.radius_m / step).ceil() as usize + 2;
-        let trials = (0..trials).map(|i| -(i as f64) * step);
-        let (low, first) = { trials }.find_map(|z| Some((z, around.locate(&rod.at(z), from)?)))?;
+        let mut trials = (0..trials).map(|i| -(i as f64) * step);
+        let (low, first) = trials.find_map(|z| Some((z, around.locate(&rod.at(z), from)?)))?;
         let (mut top, mut cell) = (low, first.cell);
         while let Some(found) = around.locate(&rod.at(top + step), cell) {
             cell = found.cell;
@@ -277,9 +277,7 @@ impl Channel {
             }
         }
         self.advance(around, rod, &mut change);
-        let entry = &self.anchors[0];
-        let surface_m = rod.along(&around.position(&entry.at)) + 0.5 * rod.pitch_m;
-        change.is_out = surface_m < -(rod.radius_m + OUT * rod.pitch_m);
+        change.is_out = self.entry_m(around, rod) < -(rod.radius_m + OUT * rod.pitch_m);
         change
     }
 

@@ -125,7 +125,7 @@ impl Contacts {
         for (i, proxy) in self.proxies.iter_mut().enumerate() {
             proxy.follow_insertion(&surface, &around, at_tip[i]);
             proxy.advance(&surface);
-            if proxy.channel.is_some() {
+            if proxy.insertion.is_in() {
                 lags |= proxy.lag() > 0.0;
                 proxy.hold(&around, i, &mut self.held);
             } else if proxy.touching {
@@ -198,7 +198,7 @@ impl Contacts {
         };
         self.proxies
             .iter()
-            .all(|p| p.placed && p.channel.is_none() && clear(p))
+            .all(|p| p.placed && !p.insertion.is_in() && clear(p))
     }
 
     /// Drops all samples: the tissue is at rest, and all tools are clear of it.

@@ -9,6 +9,21 @@ use super::surface::Surface;
 use super::tie::Held;
 use crate::{Topology, Vec3};
 
+/// Whether a needle is in the tissue; a blunt tool stays unknown.
+#[derive(Clone)]
+pub(crate) enum Insertion {
+    /// Before its first step.
+    Unknown,
+    Out,
+    In(Channel),
+}
+
+impl Insertion {
+    pub(super) fn is_in(&self) -> bool {
+        matches!(self, Self::In(_))
+    }
+}
+
 impl Proxy {
     /// The needle in its pose; `None` for a blunt tool.
     fn rod(&self, spacing_m: f64) -> Option<Rod> {
@@ -26,13 +41,12 @@ impl Proxy {
         let Some(needle) = self.target.needle else {
             return;
         };
-        let is_new = !std::mem::replace(&mut self.has_begun, true);
-        if needle.decides && !is_new {
+        if needle.decides && !matches!(self.insertion, Insertion::Unknown) {
             return;
         }
         if !needle.is_inserted {
             self.withdraw();
-        } else if self.channel.is_none() {
+        } else if !self.insertion.is_in() {
             let spacing = around.topology.model().spacing_m;
             let rod = self.rod(spacing);
             let foot = rod.and_then(|rod| surface.nearest(rod.tip, f64::MAX));
@@ -46,21 +60,21 @@ impl Proxy {
     /// Adds the ties of proxy `i`, an inserted needle.
     pub(super) fn hold(&mut self, around: &Around<'_>, i: usize, to: &mut Vec<Held>) {
         let rod = self.rod(around.topology.model().spacing_m);
-        if let Some((channel, rod)) = self.channel.as_mut().zip(rod) {
+        if let (Insertion::In(channel), Some(rod)) = (&mut self.insertion, rod) {
             channel.hold(around, &rod, i as u32, to);
         }
     }
 
     fn insert(&mut self, channel: Option<Channel>) {
-        if channel.is_some() {
+        if let Some(channel) = channel {
             self.secant.clear();
             (self.placed, self.touching, self.depth, self.gap) = (true, true, 0.0, 0.0);
-            self.channel = channel;
+            self.insertion = Insertion::In(channel);
         }
     }
 
     fn withdraw(&mut self) {
-        if self.channel.take().is_some() {
+        if std::mem::replace(&mut self.insertion, Insertion::Out).is_in() {
             self.secant.clear();
             // Contact begins outside of the surface again.
             (self.placed, self.touching) = (false, false);
@@ -107,7 +121,7 @@ impl Contacts {
         let around = Around { topology, u, own };
         let proxy = &mut self.proxies[i];
         let decides = proxy.target.needle.is_some_and(|needle| needle.decides);
-        if let Some(channel) = &mut proxy.channel {
+        if let Insertion::In(channel) = &mut proxy.insertion {
             let change = channel.slide(&around, &rod);
             self.is_unsettled |= change.is_unsettled;
             if change.is_out && decides {
@@ -133,7 +147,9 @@ impl Contacts {
     ) -> Option<Reaction> {
         let proxy = &self.proxies[i];
         let rod = proxy.rod(topology.model().spacing_m)?;
-        let channel = proxy.channel.as_ref()?;
+        let Insertion::In(channel) = &proxy.insertion else {
+            return None;
+        };
         let around = Around {
             topology,
             u,

@@ -3,8 +3,8 @@
 use nalgebra::UnitQuaternion;
 
 use super::ball::Ball;
-use super::channel::Channel;
 use super::core::Core;
+use super::insertion::Insertion;
 use super::reaction::Secant;
 use super::surface::{Foot, Surface, area_normal, blend};
 use super::{PITCH, POINT_RADIUS, Tool};
@@ -50,10 +50,7 @@ pub(crate) struct Proxy {
     pub(crate) placed: bool,
     pub(crate) seen: bool,
     pub(super) secant: Secant,
-    /// Whether the state of its needle was taken over in its first step.
-    pub(super) has_begun: bool,
-    /// Of an inserted needle.
-    pub(super) channel: Option<Channel>,
+    pub(super) insertion: Insertion,
 }
 
 impl Proxy {
@@ -74,8 +71,7 @@ impl Proxy {
             placed: false,
             seen: true,
             secant: Secant::default(),
-            has_begun: false,
-            channel: None,
+            insertion: Insertion::Unknown,
         }
     }
 
@@ -86,8 +82,7 @@ impl Proxy {
         let is_other_needle = other || self.target.needle.is_some() != tool.needle.is_some();
         self.target = *tool;
         if is_other_needle {
-            self.channel = None;
-            self.has_begun = false;
+            self.insertion = Insertion::Unknown;
         }
         if other {
             // A closing jaw meets the tissue between its parts from outside.
@@ -197,7 +192,7 @@ impl Proxy {
         let from = (self.at, self.turn);
         if self.touching {
             let deeper = self.depth > WAIT * stride && length > WAIT * stride;
-            if deeper && self.channel.is_none() {
+            if deeper && !self.insertion.is_in() {
                 return;
             }
             if length <= stride {
