@@ -102,22 +102,15 @@ fn axial(reaction: &Reaction) -> f64 {
 #[test]
 fn needle_punctures_at_its_cutting_force_slides_with_friction_and_leaves() {
     let mut bench = Bench::new();
-    let (mut peak, mut punctured, mut forces) = (0.0_f64, None, Vec::new());
-    bench.go(over(0.0, -20.0 * MM), |at, r| {
-        if let Some(shaft) = r.shaft {
-            punctured.get_or_insert(at.z);
-            forces.push((shaft.stations[1].0.z, axial(r)));
-        } else {
-            assert!(punctured.is_none(), "at {at}");
-            peak = peak.max(axial(r));
-        }
+    let mut forces = Vec::new();
+    bench.go(over(0.0, -20.0 * MM), |_, r| {
+        let length = r.shaft.map_or(0.0, |shaft| shaft.stations[1].0.z);
+        forces.push((length, axial(r)));
     });
-    let punctured = TOP - punctured.expect("it punctures");
-    assert!(
-        (0.85..1.15).contains(&(peak / CUTTING_N)),
-        "{peak} {CUTTING_N}"
-    );
-    assert!((1.0 * MM..12.0 * MM).contains(&punctured), "{punctured}");
+    // Up to its cutting force it dents the surface.
+    let dented = forces.iter().position(|f| f.1 > 0.98 * CUTTING_N);
+    let depth = dented.expect("it punctures") as f64 * 0.25 * MM - 3.0 * MM;
+    assert!((1.0 * MM..8.0 * MM).contains(&depth), "{depth}");
     // The cutting force and the friction over the length in the tissue.
     let [_, sliding] = friction_n_m();
     for (length, force) in forces.iter().filter(|f| f.0 > 1.01 * D) {
@@ -257,7 +250,7 @@ fn layer_of_tough_skin_gives_a_peak() {
     let peak = forces.iter().copied().fold(0.0, f64::max);
     let end = forces[forces.len() - 1];
     assert!((0.85..1.25).contains(&(peak / (4.0 * CUTTING_N))), "{peak}");
-    assert!(end < 0.5 * peak, "{end}");
+    assert!(end < 0.6 * peak, "{end}");
 }
 
 proptest! {

@@ -139,7 +139,7 @@ fn figures(name: &str, layers: &Layers, pushed: &Pushed) -> Value {
     let [_, friction_form] = means(&pushed.into, PLATEAU_M, friction);
     let [pull, pull_form] = means(&pushed.out, PULL_M, |depth| -friction(depth));
     // Later forces of a homogeneous tissue exceed that of the puncture by the friction.
-    let near = pushed.into.iter().filter(|p| p[0] < 10e-3);
+    let near = pushed.into.iter().filter(|p| p[0] < 16e-3);
     json!({
         "tissue": name,
         "puncture_n": near.map(|p| p[1]).fold(0.0, f64::max),

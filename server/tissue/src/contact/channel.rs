@@ -1,7 +1,7 @@
 //! The channel of an inserted needle: material points along it, and their ties to the shaft.
 //!
-//! A needle opens tissue by its width w = 2 R, so a tip that advances feels the toughness times w (Azar and Hayward 2008),
-//! and an outer surface holds that force before it lets the tip in. Along the shaft the tissue slides with dry friction
+//! A needle opens tissue by its width w = 2 R, so a tip that advances feels the toughness times w (Azar and Hayward 2008).
+//! A tip with less force carries the surface along and dents it. Along the shaft the tissue slides with dry friction
 //! (`DiMaio` and Salcudean 2003), and across it the tissue moves with the needle:
 //!
 //! ```text
@@ -223,6 +223,7 @@ impl Channel {
             stiffness,
             limits,
         };
+        let free = [f64::NEG_INFINITY, f64::INFINITY];
         let place = |anchor: &Anchor| rod.along(&around.position(&anchor.at));
         let places: Vec<f64> = self.anchors.iter().map(place).collect();
         for (i, anchor) in self.anchors.iter_mut().enumerate() {
@@ -243,10 +244,7 @@ impl Channel {
                 (anchor.home_m, anchor.slides) = (along_m, false);
                 continue;
             }
-            let [a, b] = across.map(|n| {
-                let free = [f64::NEG_INFINITY, f64::INFINITY];
-                tie(n, 0.0, covered * anchor.stiffness, free)
-            });
+            let [a, b] = across.map(|n| tie(n, 0.0, covered * anchor.stiffness, free));
             let limits = [-anchor.limit_n, anchor.limit_n];
             let c = tie(rod.axis, anchor.home_m, anchor.stiffness, limits);
             to.push(held(around, anchor, proxy, [a, b, c]));
@@ -255,7 +253,11 @@ impl Channel {
             tip.limit_n = rod.cutting_n(around.material(tip.at.cell));
             tip.stiffness = stiffness_at(around, &tip.at);
             let c = tie(rod.axis, tip.home_m, tip.stiffness, [-tip.limit_n, 0.0]);
-            to.push(held(around, tip, proxy, [Tie::NONE, Tie::NONE, c]));
+            // A point that presses does not slide.
+            let is_pressed = rod.along(&around.position(&tip.at)) > tip.home_m;
+            let stiffness = if is_pressed { tip.stiffness } else { 0.0 };
+            let [a, b] = across.map(|n| tie(n, 0.0, stiffness, free));
+            to.push(held(around, tip, proxy, [a, b, c]));
         }
     }
 
@@ -277,7 +279,15 @@ impl Channel {
             }
         }
         self.advance(around, rod, &mut change);
-        change.is_out = self.entry_m(around, rod) < -(rod.radius_m + OUT * rod.pitch_m);
+        let is_open = |tip: Anchor| rod.along(&around.position(&tip.at)) < tip.home_m;
+        let entry_m = self.entry_m(around, rod);
+        if entry_m <= 0.0 && self.tip.is_none_or(is_open) {
+            change.is_out = entry_m < -(rod.radius_m + OUT * rod.pitch_m);
+            // Lifted off, it touches the surface again where it comes down.
+            if let Some(new) = Self::along(around, rod, self.anchors[0].at.cell, 0.0) {
+                *self = new;
+            }
+        }
         change
     }
 

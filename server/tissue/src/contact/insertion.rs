@@ -1,4 +1,4 @@
-//! Needles of a shape: puncture, the hold of the tissue, and withdrawal.
+//! Needles of a shape: touch, the hold of the tissue, and withdrawal.
 
 use super::Reaction;
 use super::channel::{Around, Channel, Rod};
@@ -9,7 +9,7 @@ use super::surface::Surface;
 use super::tie::Held;
 use crate::{Topology, Vec3};
 
-/// Whether a needle is in the tissue; a blunt tool stays unknown.
+/// Whether the tissue holds a needle; a blunt tool stays unknown.
 #[derive(Clone)]
 pub(crate) enum Insertion {
     /// Before its first step.
@@ -83,23 +83,18 @@ impl Proxy {
 }
 
 impl Contacts {
-    /// Force of the tissue on the tip of proxy `i` along its shaft, N, and the force at which the surface gives way.
-    fn at_tip(&self, topology: &Topology, u: &[Vec3], i: usize, rod: &Rod) -> Option<Puncture> {
+    /// The contact of the surface with the tip of proxy `i`.
+    fn at_tip(&self, topology: &Topology, u: &[Vec3], i: usize, rod: &Rod) -> Option<TipContact> {
         let proxy = &self.proxies[i];
-        let mut found: Option<Puncture> = None;
+        let mut found: Option<TipContact> = None;
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
             let (depth, n) = self.penetration(sample, u);
             if depth > 0.0 && proxy.core.nearest(&sample.position(u))[0] <= -1.0 {
-                let cell = topology.boundary().faces[sample.triangle as usize / 2].cell();
-                let material = topology.model().material_of(cell as usize);
-                let cutting_n = rod.cutting_n(material);
-                let puncture = found.get_or_insert(Puncture {
-                    cell,
+                let contact = found.get_or_insert(TipContact {
+                    cell: topology.boundary().faces[sample.triangle as usize / 2].cell(),
                     pressed_n: 0.0,
-                    cutting_n,
                 });
-                puncture.pressed_n -= sample.stiffness * depth * n.dot(&rod.axis);
-                puncture.cutting_n = puncture.cutting_n.max(cutting_n);
+                contact.pressed_n -= sample.stiffness * depth * n.dot(&rod.axis);
             }
         }
         found
@@ -112,7 +107,7 @@ impl Contacts {
         tip.map_or(0.0, |tip| tip.pressed_n.max(0.0))
     }
 
-    /// Ends a step for the needle of proxy `i`: it punctures the surface, cuts, or leaves.
+    /// Ends a step for the needle of proxy `i`: the tissue takes hold of it, it cuts, or it leaves.
     pub(crate) fn end_insertion(&mut self, topology: &Topology, u: &[Vec3], own: &[f64], i: usize) {
         let spacing = topology.model().spacing_m;
         let Some(rod) = self.proxies[i].rod(spacing) else {
@@ -130,7 +125,7 @@ impl Contacts {
             }
         } else if decides
             && let Some(tip) = self.at_tip(topology, u, i, &rod)
-            && tip.pressed_n >= tip.cutting_n
+            && tip.pressed_n > 0.0
         {
             let channel = Channel::along(&around, &rod, tip.cell, tip.pressed_n);
             self.proxies[i].insert(channel);
@@ -200,10 +195,10 @@ impl Contacts {
     }
 }
 
-/// The contact of a tip that has not punctured the surface.
-struct Puncture {
+/// The contact of a tip with the surface, before it is held.
+struct TipContact {
     /// A cell under the tip.
     cell: u32,
+    /// Force on the tip along the shaft, N.
     pressed_n: f64,
-    cutting_n: f64,
 }

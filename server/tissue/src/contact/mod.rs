@@ -26,8 +26,8 @@
 //! in contact moves by at most half a radius per iteration. A tool that jumps, or appears inside the tissue, is
 //! followed from outside.
 //!
-//! A needle presses likewise until its tip carries the force that the surface withstands. Then it is inserted: the tissue
-//! is tied to its shaft (`channel`), and the surface does not press on it until it is withdrawn.
+//! The tip of a needle holds the surface from its first touch on: from then on the tissue is tied to the needle (`channel`),
+//! and no sample presses on it until it has left.
 
 mod ball;
 mod channel;

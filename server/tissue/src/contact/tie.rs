@@ -23,14 +23,6 @@ pub(super) struct Tie {
 }
 
 impl Tie {
-    /// No tie.
-    pub(super) const NONE: Self = Self {
-        direction: Vec3::new(0.0, 0.0, 0.0),
-        target: 0.0,
-        stiffness: 0.0,
-        limits: [0.0; 2],
-    };
-
     /// Force on a point whose coordinate is `beyond` m past the target, in N, and the stiffness there: zero where it yields.
     #[inline]
     pub(super) fn force(&self, beyond: f64) -> (f64, f64) {

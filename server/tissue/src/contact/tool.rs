@@ -50,9 +50,9 @@ impl Form {
 /// The state of a sharp needle, whose tip is the end of its core against the first half axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Needle {
-    /// Whether it is in the tissue.
+    /// Whether the tissue holds it: from the first touch of its tip on until it has left the surface.
     pub is_inserted: bool,
-    /// Whether this shape decides on puncture and withdrawal; `is_inserted` then counts in the first step only. In other
+    /// Whether this shape decides on touch and withdrawal; `is_inserted` then counts in the first step only. In other
     /// shapes it is the decision of the site that holds the needle.
     pub decides: bool,
 }
