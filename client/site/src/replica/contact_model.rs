@@ -145,6 +145,7 @@ mod tests {
             turn: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3),
             contact_patches,
             shaft: None,
+            is_inserted: false,
         }
     }
 

@@ -364,6 +364,7 @@ impl Replica {
         if let Some((needle, shaft)) = parts.iter().find_map(|r| Some((r, r.shaft.as_ref()?))) {
             hold_shaft(&mut model, needle, shaft);
         }
+        model.is_inserted = parts.iter().any(|r| r.is_inserted);
         if let Some(blade) = own.filter(|own| own.is_cutting() && !own.stale) {
             self.cutting.add_to(&mut model, tissue, blade);
         }

@@ -168,7 +168,7 @@ pub(super) struct ChannelChange {
 
 /// The channel of a needle.
 #[derive(Debug, Clone)]
-pub(super) struct Channel {
+pub(crate) struct Channel {
     /// Each for the pitch around it, from the entry down; the last ones may be before the tip.
     anchors: Vec<Anchor>,
     /// The material that the tip cuts next; `None` beyond the tissue.

@@ -19,7 +19,7 @@ pub(crate) enum Insertion {
 }
 
 impl Insertion {
-    pub(super) fn is_in(&self) -> bool {
+    pub(crate) fn is_in(&self) -> bool {
         matches!(self, Self::In(_))
     }
 }
@@ -191,6 +191,7 @@ impl Contacts {
                 friction_n: channel.friction_n(),
                 stations,
             }),
+            is_inserted: true,
         })
     }
 }

@@ -50,7 +50,7 @@ pub(crate) struct Proxy {
     pub(crate) placed: bool,
     pub(crate) seen: bool,
     pub(super) secant: Secant,
-    pub(super) insertion: Insertion,
+    pub(crate) insertion: Insertion,
 }
 
 impl Proxy {

@@ -40,6 +40,8 @@ pub struct Reaction {
     pub contact_patches: Vec<ContactPatch>,
     /// The hold of the tissue on an inserted needle, in place of contact patches.
     pub shaft: Option<ShaftReaction>,
+    /// Whether the tissue holds the needle after the step.
+    pub is_inserted: bool,
 }
 
 /// Forces of the tissue on an inserted needle.
@@ -182,6 +184,7 @@ impl Contacts {
             turn: proxy.turn,
             contact_patches: touched.map(|(n, f)| ContactPatch::of(n, f)).collect(),
             shaft: None,
+            is_inserted: false,
         }
     }
 

@@ -120,8 +120,9 @@ impl Solver {
                     reaction.force_error = (reaction.force - last).norm();
                 }
             }
-            self.report.reactions.push(reaction);
             self.contacts.end_insertion(topology, u, &self.fine.own, i);
+            reaction.is_inserted = self.contacts.proxies[i].insertion.is_in();
+            self.report.reactions.push(reaction);
         }
         self.report.steady &= !self.contacts.is_unsettled;
         self.report.active_nodes = self.fine.nodes.items.len();
