@@ -275,7 +275,7 @@ fn own_tools(participant: ParticipantId, frame: &Frame) -> impl Iterator<Item = 
         participant,
         shown: ShownTool::OwnDevice,
         is_active: true,
-        buttons: (frame.sample.buttons.bits() & 0xff) as u8,
+        buttons: frame.tool_buttons(),
         pose: Pose {
             position_m: position.into(),
             orientation: orientation.coords.into(),

@@ -45,7 +45,7 @@ pub struct ToolSample<T = ServerTime> {
     pub time: T,
     /// The pose of the tool.
     pub pose: Pose,
-    /// One bit per button; bit 0 is the main one.
+    /// One bit per button; bit 0 is the main one, [`INSERTED_BUTTON`](crate::tool::INSERTED_BUTTON) is no button.
     pub buttons: u8,
     /// The force that the participant felt, newtons, world frame, where known.
     pub force_n: Option<[f64; 3]>,

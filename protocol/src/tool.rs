@@ -7,6 +7,10 @@ use crate::ParticipantId;
 /// Longest tool, m. All sites solve for every tool, and a plate of half a metre would refine the whole model.
 pub const TOOL_LENGTH_MAX_M: f64 = 0.2;
 
+/// Bit of the buttons of a sample: the tissue holds the needle. The client that holds it decides, as on its pose; all
+/// other sites follow.
+pub const INSERTED_BUTTON: u8 = 1 << 7;
+
 /// Parts of one tool at most.
 const PARTS_MAX: u32 = 2;
 
@@ -46,7 +50,7 @@ pub enum ToolKind {
     Scalpel,
     /// Two jaws from a joint above the tip down to it, each as wide as the tool along y: closed while the main button is held.
     Grasper,
-    /// A line from the tip up z, which presses.
+    /// A sharp line from the tip up z, which enters soft tissue.
     Needle,
     /// A rectangle around the tip: its length along x, its width along y.
     Plate,

@@ -55,6 +55,8 @@ pub struct ContactModel {
     pub external_work_j: f64,
     /// Limit of the rendered force beside that of the device, N; infinite for none.
     pub force_limit_n: f64,
+    /// Whether the tool is a needle in the tissue; other sites follow this state.
+    pub is_inserted: bool,
 }
 
 impl ContactModel {
@@ -69,6 +71,7 @@ impl ContactModel {
         radius: 0.0,
         external_work_j: 0.0,
         force_limit_n: f64::INFINITY,
+        is_inserted: false,
     };
 
     /// The tool touches nothing, as of `solved_at`.

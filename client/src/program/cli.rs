@@ -56,7 +56,7 @@ A script moves the simulated hand:
   format = \"palpate-script/1\"
   repeat = false              # true: begins again at the first way point; the last must be there
   [tool]
-  kind = \"probe\"              # a ball; blade (cuts while its button is held), needle, plate or forceps
+  kind = \"probe\"              # a ball; blade (cuts while its button is held), needle (enters soft tissue), plate, forceps
   radius_mm = 8.0             # of the ball, or half the thickness of any other tool
   # length_mm = 20.0          # of blade and needle from the tip upwards, of a plate along x, of the jaws
   # width_mm = 10.0           # of a plate or of the jaws, along y

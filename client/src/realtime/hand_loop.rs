@@ -10,9 +10,10 @@
 
 use nalgebra::Vector3;
 use palpate_device::{
-    DeviceTime, Faults, ForceState, HapticDevice, Pose, Rejection, Sample, Wrench, Written,
+    Buttons, DeviceTime, Faults, ForceState, HapticDevice, Pose, Rejection, Sample, Wrench, Written,
 };
 use palpate_haptics::{Chain, ContactModel, Events, Tick};
+use palpate_protocol::tool::INSERTED_BUTTON;
 use palpate_protocol::{ClientTime, LocalSample, Span};
 
 use super::clock::device_time;
@@ -44,6 +45,8 @@ pub struct Frame {
     pub events: Events,
     /// Age of the contact model in use.
     pub contact_age: Span,
+    /// Whether the tool is a needle in the tissue.
+    pub is_inserted: bool,
 }
 
 impl Frame {
@@ -57,11 +60,23 @@ impl Frame {
             proxy_offset: Vector3::zeros(),
             events: Events::NONE,
             contact_age: Span::ZERO,
+            is_inserted: false,
         }
+    }
+
+    /// The buttons of the tool as in a protocol sample.
+    pub fn tool_buttons(&self) -> u8 {
+        tool_buttons(self.sample.buttons, self.is_inserted)
     }
 }
 
-/// A tick of the force loop as a protocol sample, which holds eight buttons.
+/// Buttons of a device and the state of its tool as in a protocol sample, which holds seven buttons.
+pub fn tool_buttons(buttons: Buttons, is_inserted: bool) -> u8 {
+    let held = buttons.bits() as u8 & !INSERTED_BUTTON;
+    held | if is_inserted { INSERTED_BUTTON } else { 0 }
+}
+
+/// A tick of the force loop as a protocol sample.
 pub fn local_sample(frame: &Frame) -> LocalSample {
     let q = frame.sample.pose.orientation;
     LocalSample {
@@ -70,7 +85,7 @@ pub fn local_sample(frame: &Frame) -> LocalSample {
             position_m: frame.sample.pose.position.into(),
             orientation: [q.i, q.j, q.k, q.w],
         },
-        buttons: (frame.sample.buttons.bits() & 0xff) as u8,
+        buttons: frame.tool_buttons(),
         force_n: Some(frame.wrench.force.into()),
     }
 }
@@ -210,6 +225,12 @@ impl HandLoop {
             proxy_offset: tick.proxy_offset,
             events: tick.events,
             contact_age: tick.contact_age,
+            // A rejected model does not withdraw the needle.
+            is_inserted: if model.is_usable() {
+                model.is_inserted
+            } else {
+                self.last.is_inserted
+            },
         };
         Turned {
             frame: self.last,
@@ -408,9 +429,13 @@ mod tests {
         }
 
         fn turn(&mut self) -> Turned {
+            self.turn_with(|_| ())
+        }
+
+        fn turn_with(&mut self, change: impl Fn(&mut ContactModel)) -> Turned {
             self.us += 1000;
             let now = ClientTime::from_micros(self.us);
-            let model = ContactModel {
+            let mut model = ContactModel {
                 topology_version: 1,
                 solved_at: now,
                 external_work_j: self.us as f64 * 1e-6,
@@ -421,6 +446,7 @@ mod tests {
                     Vector3::z(),
                 ))
             };
+            change(&mut model);
             self.hand.turn(now, LoopCommands::default(), &model)
         }
 
@@ -438,6 +464,22 @@ mod tests {
             }
             largest
         }
+    }
+
+    #[test]
+    fn samples_carry_the_insertion_of_the_needle_and_a_rejected_model_does_not_withdraw_it() {
+        let mut run = Run::pressed();
+        let buttons = |turned: Turned| local_sample(&turned.frame).buttons;
+        assert_eq!(buttons(run.turn()), 0);
+        assert_eq!(
+            buttons(run.turn_with(|model| model.is_inserted = true)),
+            INSERTED_BUTTON
+        );
+        let rejected = run.turn_with(|model| model.couple.x = f64::NAN);
+        assert_eq!(buttons(rejected), INSERTED_BUTTON);
+        assert_eq!(buttons(run.turn()), 0);
+        // The device has no say in it.
+        assert_eq!(tool_buttons(Buttons::from_bits(0x1ff), false), 0x7f);
     }
 
     #[test]

@@ -29,7 +29,7 @@ mod trace;
 pub(crate) use alone::single_thread_pool;
 pub use clock::{device_time, monotonic_now, sleep_until, worked};
 pub use hand_loop::{
-    DeviceCounts, ENABLE_EVERY, Frame, HandLoop, LoopCommands, Turned, local_sample,
+    DeviceCounts, ENABLE_EVERY, Frame, HandLoop, LoopCommands, Turned, local_sample, tool_buttons,
 };
 pub use handle::{HapticHandle, LoopSummary};
 pub use haptic_thread::{HapticPorts, RealtimeConfig, spawn};

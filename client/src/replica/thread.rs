@@ -345,7 +345,7 @@ impl ReplicaLoop {
         let mut stop = || worked() - at_first > HAPTIC_PERIOD;
         let sample = &frame.sample;
         let budget = hand_budget(&mut stop);
-        let buttons = (sample.buttons.bits() & 0xff) as u8;
+        let buttons = frame.tool_buttons();
         let pose = sample.pose;
         let is_trusted = !self.link_lost && !self.inputs.site.is_resyncing();
         let solves = self.inputs.site.counters().haptic_solves;
@@ -494,7 +494,10 @@ impl ReplicaLoop {
 /// Removes the force of a replica under resync, or without contact to the server. The main thread also informs the
 /// force loop, but it may block on output.
 fn remove_force(model: &mut ContactModel) {
-    *model = ContactModel::free_at(model.solved_at, model.topology_version);
+    *model = ContactModel {
+        is_inserted: model.is_inserted,
+        ..ContactModel::free_at(model.solved_at, model.topology_version)
+    };
 }
 
 /// Every n-th grid point of rate `tick_hz` is recorded.

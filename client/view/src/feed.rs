@@ -172,6 +172,11 @@ fn shown(reaction: &Reaction) -> Option<ShownReaction> {
             .contact_patches
             .iter()
             .map(|patch| [reaction.at + patch.lever, patch.force])
+            .chain(reaction.shaft.iter().flat_map(|shaft| {
+                let along = (shaft.tip, shaft.axis * shaft.axial_n);
+                let [tip, entry] = shaft.stations;
+                [along, tip, entry].map(|(lever, force)| [reaction.at + lever, force])
+            }))
             .collect(),
     })
 }

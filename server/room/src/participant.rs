@@ -5,11 +5,11 @@ use palpate_protocol::compensation::{DelayEstimator, Demotion};
 use palpate_protocol::handshake::{Hello, RosterEntry, SEAT_RETENTION, Subscription};
 use palpate_protocol::name::Appearance;
 use palpate_protocol::request::DelayReport;
-use palpate_protocol::tool::{ToolDescription, ToolKind, ToolPart, part_id};
+use palpate_protocol::tool::{INSERTED_BUTTON, ToolDescription, ToolKind, ToolPart, part_id};
 use palpate_protocol::{
     Emulation, ParticipantId, ResumeToken, Role, ServerTime, Span, TokenBucket,
 };
-use palpate_tissue::{Form, Tool, Vec3};
+use palpate_tissue::{Form, Needle, Tool, Vec3};
 
 use crate::PeerKey;
 use crate::admission::Admission;
@@ -331,9 +331,14 @@ impl Participant {
         }
         let [x, y, z, w] = shown.pose.orientation;
         let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).unwrap_or_default();
+        let needle = (description.kind == ToolKind::Needle).then_some(Needle {
+            is_inserted: shown.buttons & INSERTED_BUTTON != 0,
+            decides: false,
+        });
         let part = |(i, part): (usize, ToolPart)| Tool {
             turn,
             form: Form::rectangle(part.mid.into(), part.half.map(Vec3::from)),
+            needle,
             ..Tool::ball(
                 part_id(self.id, i),
                 Vec3::from(shown.pose.position_m),

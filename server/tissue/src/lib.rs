@@ -60,7 +60,7 @@ mod topology;
 
 pub use block::block;
 pub use cell::Cell;
-pub use contact::{Clearance, ContactPatch, Form, Reaction, Tool};
+pub use contact::{Clearance, ContactPatch, Form, Needle, Reaction, ShaftReaction, Tool};
 pub use cut::{
     BladePoint, CutError, CutOutcome, CutStroke, EdgeResistance, Moved, RestPoint, StrokePart,
     SweptSurface, cut, edge_resistance, to_rest,

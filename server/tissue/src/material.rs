@@ -48,7 +48,7 @@ pub struct Material {
     /// Coefficient of dynamic friction against a tool; not above the static one.
     pub friction_dynamic: f64,
     /// Fracture toughness against a sharp blade in J/m², the work per area of the cut: an edge that cuts feels this force per
-    /// length in N/m.
+    /// length in N/m, and a needle per width.
     pub toughness_j_m2: f64,
     /// Source of the values.
     pub source: String,
@@ -146,6 +146,13 @@ pub(crate) const DENSITY_KG_M3_RANGE: [f64; 2] = [1.0, 25_000.0];
 /// above 5. Above it the material is rejected.
 pub(crate) const FRICTION_MAX: f64 = 5.0;
 
+/// Toughness in J/m² of solids that no hand cuts or pierces: order of magnitude of cortical bone and plastics.
+pub(crate) const SOLID_J_M2: f64 = 5_000.0;
+
+/// Pressure of tissue on a needle that has opened it from nothing, relative to Young's modulus: a cavity in rubber grows at
+/// this pressure (Gent and Lindley 1959).
+const OPENED: f64 = 5.0 / 6.0;
+
 /// Range of the fracture toughness in J/m². Reason: gels are at 1, steel is at 1e5 and cut by no hand. Outside the range the
 /// material is rejected.
 pub(crate) const TOUGHNESS_J_M2_RANGE: [f64; 2] = [0.0, 1e5];
@@ -194,6 +201,17 @@ impl Material {
     /// A built-in material.
     pub fn built_in(name: &str) -> Option<Self> {
         library::built_in(name)
+    }
+
+    /// Whether a needle enters it.
+    pub(crate) fn is_penetrable(&self) -> bool {
+        self.toughness_j_m2 < SOLID_J_M2
+    }
+
+    /// Traction against a needle along its shaft, static and dynamic, in Pa: friction under the pressure of the tissue that
+    /// it has opened.
+    pub fn needle_traction_pa(&self) -> [f64; 2] {
+        [self.friction_static, self.friction_dynamic].map(|mu| mu * OPENED * self.young_pa)
     }
 
     /// Its numbers, in the order in which files and hashes have them.

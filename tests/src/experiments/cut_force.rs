@@ -53,7 +53,7 @@ const COLUMNS: [Column; 7] = [
     ("work per area of the wound (J/m²)", "work_j_m2", 1.0),
 ];
 
-fn resolve(name: &str) -> Result<Material, String> {
+pub(super) fn resolve(name: &str) -> Result<Material, String> {
     Material::resolve(name, None).map_err(|e| e.to_string())
 }
 
@@ -64,7 +64,18 @@ fn top_m() -> f64 {
 /// Skin over fat over muscle, on a pinned base.
 fn layered() -> Result<Model, String> {
     let mut model = block(CELLS, SPACING_M, &resolve(LAYERS[2].0)?, 1);
-    for (name, _) in &LAYERS[..2] {
+    add_layers(&mut model, SPACING_M, &LAYERS[..2])?;
+    Ok(model)
+}
+
+/// Makes the uppermost cells of a block other tissues: layers from the top, each with its thickness in cells.
+pub(super) fn add_layers(
+    model: &mut Model,
+    spacing_m: f64,
+    layers: &[(&str, usize)],
+) -> Result<(), String> {
+    let first = model.regions.len();
+    for (name, _) in layers {
         model.regions.push(Region {
             name: (*name).to_owned(),
             material: resolve(name)?,
@@ -72,19 +83,19 @@ fn layered() -> Result<Model, String> {
             fibre: [0.0; 3],
         });
     }
-    let mut below_m = top_m();
-    for (layer, (_, cells)) in LAYERS[..2].iter().enumerate() {
+    let mut below_m = model.nodes.iter().map(|x| x.z).fold(0.0, f64::max);
+    for (layer, (_, cells)) in layers.iter().enumerate() {
         let above_m = below_m;
-        below_m -= *cells as f64 * SPACING_M;
+        below_m -= *cells as f64 * spacing_m;
         for cell in &mut model.cells {
             let z = cell.corners.map(|n| model.nodes[n as usize].z);
             let z = z.iter().sum::<f64>() / 8.0;
             if (below_m..above_m).contains(&z) {
-                cell.region = RegionId(2 + layer as u16);
+                cell.region = RegionId((first + layer) as u16);
             }
         }
     }
-    Ok(model)
+    Ok(())
 }
 
 /// Resistance of a blade with its tip at this depth in the layered block, in closed form, N.
@@ -118,7 +129,7 @@ fn blade(from_m: f64, to_m: f64) -> Result<Script, String> {
 }
 
 /// A hand that rests far from the block.
-fn idle(seconds: f64) -> Result<Script, String> {
+pub(super) fn idle(seconds: f64) -> Result<Script, String> {
     let away = Vec3::new(0.0, 0.0, 1.0);
     let path = vec![Waypoint::new(0.0, away), Waypoint::new(seconds, away)];
     Script::new(Tool::probe(3e-3), HAND, path, false).map_err(|e| e.to_string())

@@ -18,6 +18,7 @@ mod handle;
 mod inputs;
 mod leg_press;
 mod missing_data;
+mod needle_force;
 mod press;
 pub mod recipe;
 pub mod registry;

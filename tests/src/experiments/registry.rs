@@ -3,8 +3,8 @@
 use super::inputs::Input::{self, Model, Motion, Profile, Real, Seed, Seeds};
 use super::{
     Bench, Outcome, atc, cut_force, cut_gallery, cut_methods, cut_time, cut_width, friction,
-    handle, leg_press, missing_data, press, replicas, scale, soft_hard, table_7_1, thin,
-    tool_paths,
+    handle, leg_press, missing_data, needle_force, press, replicas, scale, soft_hard, table_7_1,
+    thin, tool_paths,
 };
 
 #[derive(Debug, Clone, Copy)]
@@ -48,6 +48,8 @@ pub const ALL: &[Experiment] = experiments! {
         "one stroke by element removal, subdivision, subdivision with snapping, and a sheet (fig 2.3)";
     "cut-force", 5.0, [], Work::Experiment(cut_force::run),
         "force of a blade that cuts skin, fat, muscle and liver, and its work per area of the wound";
+    "needle-force", 20.0, [], Work::Experiment(needle_force::run),
+        "force of a needle into fat, muscle, liver and layers, and out again";
     "cut-time", 6.0, [], Work::Experiment(cut_time::run),
         "time of a blade sample over the length of a cut, in models of three sizes (fig 7.13)";
     "cut-width", 15.0, [Model], Work::Experiment(cut_width::run),

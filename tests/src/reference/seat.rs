@@ -1,6 +1,7 @@
 //! A hand with its haptic chain, its tool and the stroke of its blade.
 
 use nalgebra::{Quaternion, Unit};
+use palpate_client::realtime::tool_buttons;
 use palpate_client::recording::Recording;
 use palpate_client::tool_description;
 use palpate_device::backend::replay::{Moment, Motion, Replay};
@@ -136,7 +137,7 @@ impl Seat {
     pub(super) fn take(&mut self, us: i64, sample: &Sample) -> Option<CutRequest> {
         self.tool.position = sample.pose.position;
         self.tool.orientation = sample.pose.orientation;
-        self.tool.buttons = (sample.buttons.bits() & 0xff) as u8;
+        self.tool.buttons = tool_buttons(sample.buttons, self.contact.is_inserted);
         let q = sample.pose.orientation;
         let pose = Pose {
             position_m: sample.pose.position.into(),

@@ -7,6 +7,7 @@ use palpate_device::Sample;
 use palpate_haptics::ContactModel;
 use palpate_protocol::operation::{BladePoint, CutStroke, Operation, OperationKind};
 use palpate_protocol::request::{CutRequest, RequestRefusal, TimedBladePoint};
+use palpate_protocol::tool::INSERTED_BUTTON;
 use palpate_protocol::{
     ClientTime, OperationId, ParticipantId, RequestId, ServerTime, TopologyHash,
 };
@@ -328,10 +329,15 @@ fn solve_both(
 ) -> [ContactModel; 2] {
     let near = budget.near;
     let first = replica.haptic_step(now, Some(a), &[*b], budget);
+    let mut a = *a;
+    a.buttons &= !INSERTED_BUTTON;
+    if first.is_inserted {
+        a.buttons |= INSERTED_BUTTON;
+    }
     // The first call solves for both hands; the second one only reads the force of the other.
     let nothing = Budget {
         near,
         ..Budget::new(0, f64::INFINITY)
     };
-    [first, replica.haptic_step(now, Some(b), &[*a], nothing)]
+    [first, replica.haptic_step(now, Some(b), &[a], nothing)]
 }

@@ -127,7 +127,7 @@ impl Trainee {
         if self.ticks.is_multiple_of(HAPTIC_EVERY)
             && let Some(site) = &mut self.site
         {
-            let buttons = (frame.sample.buttons.bits() & 0xff) as u8;
+            let buttons = frame.tool_buttons();
             // The solve ends by iterations and residual instead of time, so a seed reproduces it.
             let mut never = || false;
             let budget = hand_budget(&mut never);

@@ -10,11 +10,11 @@ pub(crate) const MODEL_RADIUS_M: f64 = 8e-3;
 
 /// Ratio of contact damping to normal stiffness, s. 1 ms suppresses oscillation of a hand against tissue and is not
 /// perceptible.
-const DAMPING_S: f64 = 1e-3;
+pub(super) const DAMPING_S: f64 = 1e-3;
 
 /// Maximum total damping of all contacts, N·s/m: well below the stability limit 2 m / T = 200 of a 0.1 kg handle at 1
 /// kHz.
-const DAMPING_MAX_NS_PER_M: f64 = 2.0;
+pub(super) const DAMPING_MAX_NS_PER_M: f64 = 2.0;
 
 /// Contact model of a tool with these parts, which share its pivot. The linear law is centred where the solver
 /// computed the forces: at the tool, unless the tool jumped and the proxy still follows.
@@ -144,6 +144,8 @@ mod tests {
             at: Vec3::new(0.1, 0.2, 0.3),
             turn: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3),
             contact_patches,
+            shaft: None,
+            is_inserted: false,
         }
     }
 

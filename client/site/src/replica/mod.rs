@@ -12,6 +12,7 @@ mod contact_model;
 mod cutting_force;
 mod history;
 mod prefetch;
+mod shaft_model;
 mod thin_view;
 mod view;
 
@@ -32,6 +33,7 @@ use crate::tools::{ToolAt, gather, tissue_stroke};
 use contact_model::{contact_model, unusable};
 use cutting_force::CuttingForce;
 use prefetch::change_checked;
+use shaft_model::hold_shaft;
 
 pub use prefetch::{CutOrder, MadeCut, Prefetch, ReplicaError};
 pub use thin_view::{ThinCounters, ThinView};
@@ -333,13 +335,22 @@ impl Replica {
         budget: Budget<'_>,
     ) -> ContactModel {
         let version = self.topology().version();
-        let free = ContactModel::free_at(now, version);
+        let free = ContactModel {
+            is_inserted: own.is_some_and(ToolAt::is_inserted),
+            ..ContactModel::free_at(now, version)
+        };
         let Some(tissue) = self.haptic.tissue_mut() else {
             return free;
         };
         let me = own.map(|t| t.participant);
         let others = others.iter().filter(|t| Some(t.participant) != me);
         gather(&mut self.tools, own.into_iter().chain(others));
+        // The own needle enters here first; the state of others comes with their motion.
+        for tool in &mut self.tools {
+            if let Some(needle) = &mut tool.needle {
+                needle.decides = me == Some(part_owner(tool.id));
+            }
+        }
         let report = tissue.step(&self.tools, budget);
         let presses = own.is_some_and(|own| own.contacts().next().is_some());
         if report.rolled_back && presses {
@@ -350,6 +361,10 @@ impl Replica {
             .note(report.reactions.iter().filter(|r| !is_own(r)));
         let parts: Vec<&Reaction> = report.reactions.iter().filter(is_own).collect();
         let mut model = contact_model(now, version, &parts);
+        if let Some((needle, shaft)) = parts.iter().find_map(|r| Some((r, r.shaft.as_ref()?))) {
+            hold_shaft(&mut model, needle, shaft);
+        }
+        model.is_inserted = parts.iter().any(|r| r.is_inserted);
         if let Some(blade) = own.filter(|own| own.is_cutting() && !own.stale) {
             self.cutting.add_to(&mut model, tissue, blade);
         }

@@ -243,6 +243,8 @@ fn energy_of_other_hands_is_tracked() {
         torque: Vec3::zeros(),
         turn: UnitQuaternion::identity(),
         contact_patches: Vec::new(),
+        shaft: None,
+        is_inserted: false,
     };
     let mut others = ExternalWork::default();
     for mm in 0..=10 {

@@ -4,8 +4,8 @@ use nalgebra::UnitQuaternion;
 use palpate_protocol::ParticipantId;
 use palpate_protocol::operation::HeldTool;
 use palpate_protocol::timeline::Shown;
-use palpate_protocol::tool::{ToolDescription, ToolKind, part_id};
-use palpate_tissue::{Form, Tool, Vec3};
+use palpate_protocol::tool::{INSERTED_BUTTON, ToolDescription, ToolKind, part_id};
+use palpate_tissue::{Form, Needle, Tool, Vec3};
 
 use super::convert::orientation;
 
@@ -76,16 +76,26 @@ impl ToolAt {
         self.description.kind == ToolKind::Scalpel && self.buttons & 1 == 1
     }
 
+    /// Whether it is a needle in the tissue, by the decision of its holder.
+    pub fn is_inserted(&self) -> bool {
+        self.description.kind == ToolKind::Needle && self.buttons & INSERTED_BUTTON != 0
+    }
+
     /// Contact geometry of the tool; empty if it cuts, is stale or has an invalid pose.
     pub fn contacts(&self) -> impl Iterator<Item = Tool> + '_ {
         let held = self.buttons & 1 == 1;
         let parts = self.description.parts(held).enumerate();
         let presses = !self.stale && !self.is_cutting();
+        let needle = (self.description.kind == ToolKind::Needle).then_some(Needle {
+            is_inserted: self.is_inserted(),
+            decides: false,
+        });
         parts
             .filter(move |_| presses)
-            .map(|(i, part)| Tool {
+            .map(move |(i, part)| Tool {
                 turn: self.orientation,
                 form: Form::rectangle(part.mid.into(), part.half.map(Vec3::from)),
+                needle,
                 ..Tool::ball(
                     part_id(self.participant, i),
                     self.position,

@@ -55,7 +55,7 @@
 //! | `density_kg_m3` | density in kg/m³ | 1 to 25 000 | needed |
 //! | `friction_static` | coefficient of static friction against a tool | 0 to 5 | 0.4 |
 //! | `friction_dynamic` | of dynamic friction; not above the static one | 0 to 5 | 0.3 |
-//! | `toughness_j_m2` | fracture toughness against a sharp blade in J/m² | 0 to 1e5 | 200 |
+//! | `toughness_j_m2` | fracture toughness against a sharp blade or needle in J/m²; from 5000 on no needle enters | 0 to 1e5 | 200 |
 
 mod input;
 mod keys;

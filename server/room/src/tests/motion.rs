@@ -4,6 +4,9 @@ use std::collections::BTreeMap;
 
 use palpate_protocol::ParticipantId;
 
+use palpate_protocol::tool::INSERTED_BUTTON;
+
+use super::controls::Lesson;
 use super::*;
 use crate::SEATS_MAX;
 
@@ -109,4 +112,40 @@ fn full_session_refuses_another_client_and_continues() {
         assert!((50..=75).contains(count), "{count} rounds to {peer:?}");
     }
     assert_eq!(newest.len(), 64 * 64);
+}
+
+#[test]
+fn needle_is_inserted_in_the_tissue_while_its_samples_say_so() {
+    let mut lesson = Lesson::new();
+    let needle = ToolDescription {
+        kind: ToolKind::Needle,
+        length_m: 0.05,
+        ..ToolDescription::probe(0.6e-3)
+    };
+    lesson.request(2, RequestKind::SetTool(needle)).unwrap();
+    let begin = lesson.now.as_micros() / 1000;
+    let sample = |t: i64| ToolSample {
+        time: ms(t),
+        buttons: if (begin + 40..begin + 80).contains(&t) {
+            INSERTED_BUTTON
+        } else {
+            0
+        },
+        ..ToolSample::default()
+    };
+    let samples = (begin..begin + 120).map(sample).collect();
+    let batch = PeerMotion::on_time(samples, ms(begin + 120));
+    let now = ms(begin + 120);
+    lesson
+        .room
+        .handle_event(PeerKey(2), PeerEvent::Motion(batch), now);
+    for (t, is_inserted) in [(20, false), (60, true), (100, false)] {
+        let tools = lesson.room.pressing_at(ParticipantId(2), ms(begin + t));
+        let needle = tools[0].needle.expect("it is a needle");
+        assert_eq!(
+            (needle.is_inserted, needle.decides),
+            (is_inserted, false),
+            "{t}"
+        );
+    }
 }

@@ -8,6 +8,7 @@ use super::core::Core;
 use super::outwards::Outwards;
 use super::proxy::Proxy;
 use super::surface::{Surface, area_normal, blend};
+use super::tie::Spread;
 use super::{FINE_RADIUS, FOUNDATION};
 use crate::Vec3;
 
@@ -44,6 +45,15 @@ pub(crate) struct Sample {
 }
 
 impl Sample {
+    /// Its nodes.
+    #[inline]
+    pub(super) fn spread(&self) -> Spread {
+        Spread {
+            nodes: self.nodes,
+            weights: self.weights,
+        }
+    }
+
     /// Current position.
     #[inline]
     pub(super) fn position(&self, u: &[Vec3]) -> Vec3 {

@@ -1,11 +1,13 @@
 //! All contacts of one shape: tools, their samples, and the forces on nodes.
 
 use super::ball::Ball;
+use super::channel::Around;
 use super::contact_sample::{Sample, depth, sample};
-use super::line_search::{LineSearch, Row};
+use super::line_search::{LineSearch, Row, TieRow};
 use super::proxy::Proxy;
 use super::surface::{Foot, Surface, blend};
 use super::surface_index::{SurfaceChange, SurfaceIndex};
+use super::tie::{Held, Spread};
 use super::{TOOLS_MAX, Tool};
 use crate::equilibrium::{Disabled, Mechanism, laid_out};
 use crate::{Topology, Vec3};
@@ -17,9 +19,13 @@ pub(crate) struct Contacts {
     index: SurfaceIndex,
     pub(crate) proxies: Vec<Proxy>,
     pub(crate) samples: Vec<Sample>,
-    /// Nodes of the samples, and the position of every node in this list.
+    /// Points in the tissue that inserted needles hold.
+    pub(super) held: Vec<Held>,
+    /// Nodes of the samples and of the held points, and the position of every node in this list.
     pub(crate) nodes: Vec<u32>,
     place: Vec<u32>,
+    /// Whether a needle has changed its forces at the end of the last step.
+    pub(crate) is_unsettled: bool,
     /// Invalid or excess tools of the last step.
     pub(crate) ignored: usize,
     /// Mechanisms that an ablation has switched off.
@@ -32,8 +38,10 @@ impl Contacts {
             index: SurfaceIndex::new(topology),
             proxies: Vec::with_capacity(TOOLS_MAX),
             samples: Vec::new(),
+            held: Vec::new(),
             nodes: Vec::new(),
             place: laid_out(NONE, topology.node_count()),
+            is_unsettled: false,
             ignored: 0,
             disabled: Disabled::default(),
         }
@@ -55,7 +63,7 @@ impl Contacts {
 
     /// Sets the tools of a step. Returns whether any tool changed.
     pub(crate) fn begin(&mut self, tools: &[Tool]) -> bool {
-        let mut changed = false;
+        let mut changed = std::mem::take(&mut self.is_unsettled);
         self.ignored = 0;
         self.proxies.iter_mut().for_each(|p| p.seen = false);
         for tool in tools {
@@ -94,6 +102,9 @@ impl Contacts {
         own_stiffness: &[f64],
     ) -> bool {
         self.update_penetration(u);
+        let at_tip: Vec<f64> = (0..self.proxies.len())
+            .map(|i| self.pressed_at_tip_n(topology, u, i))
+            .collect();
         self.clear();
         let spacing = topology.model().spacing_m;
         self.proxies.iter_mut().for_each(|p| p.fit(spacing));
@@ -104,10 +115,19 @@ impl Contacts {
             u: Some(u),
             index: &self.index,
         };
+        let around = Around {
+            topology,
+            u,
+            own: own_stiffness,
+        };
         let mut lags = false;
         for (i, proxy) in self.proxies.iter_mut().enumerate() {
+            proxy.follow_insertion(&surface, &around, at_tip[i]);
             proxy.advance(&surface);
-            if proxy.touching {
+            if proxy.insertion.is_in() {
+                lags |= proxy.lag() > 0.0;
+                proxy.hold(&around, i, &mut self.held);
+            } else if proxy.touching {
                 lags |= proxy.lag() > 0.0;
                 sample(&mut self.samples, &surface, proxy, i, own_stiffness);
             }
@@ -175,7 +195,9 @@ impl Contacts {
                 surface.nearest(at, f64::MAX).is_none_or(outside)
             })
         };
-        self.proxies.iter().all(|p| p.placed && clear(p))
+        self.proxies
+            .iter()
+            .all(|p| p.placed && !p.insertion.is_in() && clear(p))
     }
 
     /// Drops all samples: the tissue is at rest, and all tools are clear of it.
@@ -207,11 +229,14 @@ impl Contacts {
         }
         self.nodes.clear();
         self.samples.clear();
+        self.held.clear();
     }
 
     fn link(&mut self) {
-        for sample in &self.samples {
-            for &node in &sample.nodes {
+        let held = self.held.iter().flat_map(|held| held.spreads);
+        let spreads = held.map(|spread| spread.nodes);
+        for nodes in self.samples.iter().map(|s| s.nodes).chain(spreads) {
+            for node in nodes {
                 let place = &mut self.place[node as usize];
                 if *place == NONE {
                     *place = self.nodes.len() as u32;
@@ -255,24 +280,42 @@ impl Contacts {
             }
         };
         let cores = self.proxies.iter().map(|p| p.core).collect();
-        LineSearch::new(self.samples.iter().map(row).collect(), cores)
+        let ties = self.held.iter().flat_map(|held| {
+            let by = held.sum(|n| moves[self.place(n)]);
+            let from = held.position(u) - by * at;
+            held.ties.map(|tie| TieRow {
+                from: tie.direction.dot(&from) - tie.target,
+                by: tie.direction.dot(&by),
+                tie,
+            })
+        });
+        LineSearch::new(self.samples.iter().map(row).collect(), cores).with_ties(ties.collect())
     }
 
-    /// Calls `visit` with every pressed sample, its force in N, its κ and its direction.
+    /// Calls `visit` with the nodes of every pressed sample, its force in N, its κ and its direction; likewise for ties.
     #[inline]
-    pub(crate) fn pressed(&self, u: &[Vec3], mut visit: impl FnMut(&Sample, Vec3, f64, Vec3)) {
+    pub(crate) fn pressed(&self, u: &[Vec3], mut visit: impl FnMut(&Spread, Vec3, f64, Vec3)) {
         for sample in &self.samples {
             let (depth, n) = self.penetration(sample, u);
             if depth > 0.0 {
-                visit(sample, n * (sample.stiffness * depth), sample.stiffness, n);
+                let force = n * (sample.stiffness * depth);
+                visit(&sample.spread(), force, sample.stiffness, n);
+            }
+        }
+        for held in &self.held {
+            for (tie, force, stiffness) in held.forces(u) {
+                for spread in &held.spreads {
+                    visit(spread, tie.direction * force, stiffness, tie.direction);
+                }
             }
         }
     }
 
     /// Calls `visit` with every sample that is pressed or is predicted to close again, its depth in m (negative: open),
     /// its κ and its direction. Predicted to close are samples that opened by less than their depth before the tool
-    /// moved: the criterion of a primal-dual active set, with κ as its factor (Hintermüller, Ito and Kunisch 2002).
-    pub(crate) fn expected(&self, u: &[Vec3], mut visit: impl FnMut(&Sample, f64, f64, Vec3)) {
+    /// moved: the criterion of a primal-dual active set, with κ as its factor (Hintermüller, Ito and Kunisch 2002). Ties
+    /// count as pressed.
+    pub(crate) fn expected(&self, u: &[Vec3], mut visit: impl FnMut(&Spread, f64, f64, Vec3)) {
         for sample in &self.samples {
             let (deep, n) = if sample.depth_before > 0.0 {
                 let (v, radius) = self.offset(sample, u);
@@ -281,7 +324,17 @@ impl Contacts {
                 self.penetration(sample, u)
             };
             if deep + sample.depth_before > 0.0 {
-                visit(sample, deep, sample.stiffness, n);
+                visit(&sample.spread(), deep, sample.stiffness, n);
+            }
+        }
+        for held in &self.held {
+            for (tie, force, stiffness) in held.forces(u) {
+                if stiffness > 0.0 {
+                    let deep = (force / stiffness).abs().max(f64::MIN_POSITIVE);
+                    for spread in &held.spreads {
+                        visit(spread, deep, stiffness, tie.direction);
+                    }
+                }
             }
         }
     }
@@ -311,6 +364,10 @@ impl Contacts {
                 force -= n * (sample.stiffness * depth);
                 count += 1;
             }
+        }
+        for held in self.held.iter().filter(|h| h.proxy == i as u32) {
+            force -= held.force(u);
+            count += 1;
         }
         (force, count)
     }

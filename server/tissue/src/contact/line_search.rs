@@ -6,6 +6,7 @@
 //! step length.
 
 use super::core::Core;
+use super::tie::Tie;
 use crate::Vec3;
 
 /// Maximum rounds of the root search: the bracket halves at least every other round.
@@ -21,6 +22,22 @@ pub(crate) struct LineSearch {
     rows: Vec<(Row, Option<Vec3>)>,
     /// Cores of the tools; only their shape is used.
     cores: Vec<Core>,
+    ties: Vec<TieRow>,
+}
+
+/// A tie to an inserted needle, on the line.
+pub(crate) struct TieRow {
+    pub(super) tie: Tie,
+    /// Distance from the target at s = 0, and its derivative by s, in m.
+    pub(super) from: f64,
+    pub(super) by: f64,
+}
+
+impl TieRow {
+    /// Work of its force per s, at s, in N m.
+    fn work(&self, s: f64) -> f64 {
+        self.tie.force(self.from + self.by * s).0 * self.by
+    }
 }
 
 pub(crate) struct Row {
@@ -103,7 +120,17 @@ impl LineSearch {
         Self {
             rows: rows.into_iter().map(row).collect(),
             cores,
+            ties: Vec::new(),
         }
+    }
+
+    /// The same with ties.
+    pub(super) fn with_ties(self, ties: Vec<TieRow>) -> Self {
+        Self { ties, ..self }
+    }
+
+    fn work_of_ties(&self, s: f64) -> f64 {
+        self.ties.iter().map(|tie| tie.work(s)).sum()
     }
 
     /// Lets samples pass the middle of a tool.
@@ -122,7 +149,8 @@ impl LineSearch {
         self.rows
             .iter()
             .map(|row| work(row, self.core(&row.0), s))
-            .sum()
+            .sum::<f64>()
+            + self.work_of_ties(s)
     }
 
     /// The s within bounds at which the total work vanishes: the minimum of the energy on the line. All other work is
@@ -137,6 +165,7 @@ impl LineSearch {
             rows.iter()
                 .map(|row| work(row, self.core(&row.0), s))
                 .sum::<f64>()
+                + self.work_of_ties(s)
         };
         let work = |s: f64| here + s * (there - here) + contacts(s);
         let [mut low, mut high] = bounds;

@@ -25,12 +25,17 @@
 //! The tissue is pressed by the proxy of a tool, which stays on its side of the surface: it stops at first touch, and
 //! in contact moves by at most half a radius per iteration. A tool that jumps, or appears inside the tissue, is
 //! followed from outside.
+//!
+//! The tip of a needle holds the surface from its first touch on: from then on the tissue is tied to the needle (`channel`),
+//! and no sample presses on it until it has left.
 
 mod ball;
+mod channel;
 mod clearance;
 mod contact_sample;
 mod contacts;
 mod core;
+mod insertion;
 mod line_search;
 mod outwards;
 mod proxy;
@@ -39,12 +44,13 @@ mod surface;
 mod surface_index;
 #[cfg(test)]
 mod tests;
+mod tie;
 mod tool;
 mod watched;
 
 pub use clearance::Clearance;
-pub use reaction::{ContactPatch, Reaction};
-pub use tool::{Form, TOOL_REACH_MAX_M, Tool};
+pub use reaction::{ContactPatch, Reaction, ShaftReaction};
+pub use tool::{Form, Needle, TOOL_REACH_MAX_M, Tool};
 
 pub(crate) use contacts::Contacts;
 pub(crate) use line_search::LineSearch;

@@ -4,6 +4,7 @@ use nalgebra::UnitQuaternion;
 
 use super::ball::Ball;
 use super::core::Core;
+use super::insertion::Insertion;
 use super::reaction::Secant;
 use super::surface::{Foot, Surface, area_normal, blend};
 use super::{PITCH, POINT_RADIUS, Tool};
@@ -49,6 +50,7 @@ pub(crate) struct Proxy {
     pub(crate) placed: bool,
     pub(crate) seen: bool,
     pub(super) secant: Secant,
+    pub(crate) insertion: Insertion,
 }
 
 impl Proxy {
@@ -69,6 +71,7 @@ impl Proxy {
             placed: false,
             seen: true,
             secant: Secant::default(),
+            insertion: Insertion::Unknown,
         }
     }
 
@@ -76,7 +79,11 @@ impl Proxy {
     pub(crate) fn follow(&mut self, tool: &Tool) -> bool {
         let changed = self.target != *tool;
         let other = self.target.form != tool.form;
+        let is_other_needle = other || self.target.needle.is_some() != tool.needle.is_some();
         self.target = *tool;
+        if is_other_needle {
+            self.insertion = Insertion::Unknown;
+        }
         if other {
             // A closing jaw meets the tissue between its parts from outside.
             self.set(self.at, self.turn);
@@ -185,7 +192,7 @@ impl Proxy {
         let from = (self.at, self.turn);
         if self.touching {
             let deeper = self.depth > WAIT * stride && length > WAIT * stride;
-            if deeper {
+            if deeper && !self.insertion.is_in() {
                 return;
             }
             if length <= stride {

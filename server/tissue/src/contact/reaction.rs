@@ -38,6 +38,25 @@ pub struct Reaction {
     pub turn: UnitQuaternion<f64>,
     /// Contact patches in the order of their numbers. Their forces sum to `force`.
     pub contact_patches: Vec<ContactPatch>,
+    /// The hold of the tissue on an inserted needle, in place of contact patches.
+    pub shaft: Option<ShaftReaction>,
+    /// Whether the tissue holds the needle after the step.
+    pub is_inserted: bool,
+}
+
+/// Forces of the tissue on an inserted needle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShaftReaction {
+    /// From the pivot to the tip, in m.
+    pub tip: Vec3,
+    /// Unit vector from the tip up the shaft.
+    pub axis: Vec3,
+    /// Force on the needle along the axis, in N.
+    pub axial_n: f64,
+    /// Greatest friction along the shaft, in N: a needle that is withdrawn feels no more.
+    pub friction_n: f64,
+    /// Forces on the needle across the axis, in N, at the tip and where it enters, and their levers from the pivot, in m.
+    pub stations: [(Vec3, Vec3); 2],
 }
 
 /// One contact patch of a tool.
@@ -126,6 +145,9 @@ impl Contacts {
         untouched: Option<&[Vec3]>,
         i: usize,
     ) -> Reaction {
+        if let Some(reaction) = self.shaft_reaction(topology, u, i) {
+            return reaction;
+        }
         let (samples, nearest) = self.pressed_samples(topology, u, untouched, i);
         let spacing = topology.model().spacing_m;
         let proxy = &mut self.proxies[i];
@@ -161,6 +183,8 @@ impl Contacts {
             at: proxy.at,
             turn: proxy.turn,
             contact_patches: touched.map(|(n, f)| ContactPatch::of(n, f)).collect(),
+            shaft: None,
+            is_inserted: false,
         }
     }
 
@@ -292,7 +316,7 @@ impl Secant {
         }
     }
 
-    fn stiffness(&self) -> Matrix3<f64> {
+    pub(super) fn stiffness(&self) -> Matrix3<f64> {
         self.stiffness.unwrap_or_else(Matrix3::zeros)
     }
 }

@@ -17,7 +17,6 @@ pub(crate) struct Surface<'a> {
 /// A point of the surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Foot {
-    #[cfg(test)]
     pub(crate) triangle: u32,
     pub(crate) at: Vec3,
     /// Out of the tissue, interpolated between the nodes.
@@ -80,7 +79,6 @@ impl Surface<'_> {
             .try_normalize(1e-3)
             .or_else(|| area_normal(&corners).try_normalize(1e-30))?;
         Some(Foot {
-            #[cfg(test)]
             triangle,
             at,
             normal,

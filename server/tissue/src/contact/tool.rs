@@ -47,6 +47,16 @@ impl Form {
     }
 }
 
+/// The state of a sharp needle, whose tip is the end of its core against the first half axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Needle {
+    /// Whether the tissue holds it: from the first touch of its tip on until it has left the surface.
+    pub is_inserted: bool,
+    /// Whether this shape decides on touch and withdrawal; `is_inserted` then counts in the first step only. In other
+    /// shapes it is the decision of the site that holds the needle.
+    pub decides: bool,
+}
+
 /// A tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tool {
@@ -60,6 +70,8 @@ pub struct Tool {
     pub form: Form,
     /// Radius in m, above zero.
     pub radius_m: f64,
+    /// `None` for a blunt tool.
+    pub needle: Option<Needle>,
 }
 
 impl Tool {
@@ -71,6 +83,7 @@ impl Tool {
             turn: UnitQuaternion::identity(),
             form: Form::BALL,
             radius_m,
+            needle: None,
         }
     }
 

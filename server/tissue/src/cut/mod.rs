@@ -47,7 +47,7 @@ mod stroke;
 mod stroke_part;
 mod swept_surface;
 mod to_rest;
-mod trilinear;
+pub(crate) mod trilinear;
 mod width;
 
 use std::collections::{BTreeSet, HashMap};

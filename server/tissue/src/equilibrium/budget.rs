@@ -120,8 +120,11 @@ impl Solver {
                     reaction.force_error = (reaction.force - last).norm();
                 }
             }
+            self.contacts.end_insertion(topology, u, &self.fine.own, i);
+            reaction.is_inserted = self.contacts.proxies[i].insertion.is_in();
             self.report.reactions.push(reaction);
         }
+        self.report.steady &= !self.contacts.is_unsettled;
         self.report.active_nodes = self.fine.nodes.items.len();
         self.report.visits = [self.fine.visits, self.coarse.visits];
         self.report.clamped = self.fine.clamped;

@@ -4,7 +4,7 @@
 //! scene can raise the value with the volume term. None stiffens and none has fibres: both depend on the site
 //! and the application, so a scene sets them where needed.
 
-use super::Material;
+use super::{Material, SOLID_J_M2};
 
 /// Names of the built-in materials, in listing order.
 pub const MATERIAL_NAMES: [&str; ENTRIES.len()] = {
@@ -54,8 +54,6 @@ const ORGAN_J_M2: f64 = 200.0;
 /// Toughness of tissue with much collagen, J/m²: skin 1100 by needle, 1700 to 2800 by scissors; cartilage 140 to 1200
 /// (Liu et al. 2022, table 2).
 const COLLAGEN_J_M2: f64 = 1_100.0;
-/// Toughness of solids that no hand cuts with a scalpel, J/m²: order of magnitude of cortical bone and plastics.
-const SOLID_J_M2: f64 = 5_000.0;
 
 /// The entries, in listing order: connective tissue, organs of the trunk, technical materials.
 const ENTRIES: [Entry; 20] = [
