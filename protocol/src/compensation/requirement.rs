@@ -35,7 +35,7 @@ const MEMORY: Span = Span::from_millis(30_000);
 const LEVEL_WINDOW: Span = Span::from_millis(1200);
 
 /// A step is a rise that has lasted this long: three packets at 250 Hz.
-const STEP_WINDOW: Span = Span::from_millis(12);
+const STEP_WINDOW: Span = Span::from_millis(14);
 
 /// The quantile of a path without jitter is a packet interval; jitter is beyond it.
 const PACKET: Span = Span::from_millis(4);
