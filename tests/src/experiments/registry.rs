@@ -64,7 +64,7 @@ pub const ALL: &[Experiment] = experiments! {
         "two sites align a part with an adaptive playout delay (fig 7.28)";
     "atc-predicted", 7.7, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::predicted),
         "two sites align a part with server-side prediction instead of a delay";
-    "atc-controllers", 40.0, [Seed, Profile, Motion], Work::Experiment(atc_controllers::run),
+    "atc-controllers", 25.0, [Seed, Profile, Motion], Work::Experiment(atc_controllers::run),
         "the adaptive playout delay beside the controllers of NetEQ and of a Kalman filter";
     "transmission", 1.1, [Seed, Profile, Motion], Work::Experiment(atc::transmission),
         "delay of a motion from site to site, with and without compensation (fig 7.24)";
