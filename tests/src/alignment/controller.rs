@@ -9,7 +9,7 @@ const PACKET_US: f64 = 4000.0;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Baseline {
-    /// The delay manager of WebRTC's NetEQ: a quantile of the delay above the minimum of two seconds, from a histogram
+    /// The delay manager of WebRTC's `NetEQ`: a quantile of the delay above the minimum of two seconds, from a histogram
     /// with a forgetting factor.
     NetEq,
     /// A Kalman filter of the age as a random walk; D is four standard deviations of the innovation above it.
@@ -75,11 +75,11 @@ impl Controller {
     }
 }
 
-/// Width of a histogram class of NetEQ, one packet of audio, and their number.
+/// Width of a histogram class of `NetEQ`, one packet of audio, and their number.
 const CLASS_US: f64 = 20_000.0;
 const CLASSES: usize = 100;
 
-/// NetEQ forgets 1 - 0.983 per packet of 20 ms; ours last 4 ms.
+/// `NetEQ` forgets 1 - 0.983 per packet of 20 ms; ours last 4 ms.
 const FORGET: f64 = 0.996_58;
 const QUANTILE: f64 = 0.95;
 const MINIMUM_WINDOW: Span = Span::from_millis(2000);
@@ -88,14 +88,14 @@ const MINIMUM_WINDOW: Span = Span::from_millis(2000);
 pub(super) struct NetEq {
     /// Recent ages with their times, without those that a later smaller one makes irrelevant.
     minima: std::collections::VecDeque<(ServerTime, f64)>,
-    shares: [f64; CLASSES],
+    shares: Vec<f64>,
 }
 
 impl Default for NetEq {
     fn default() -> Self {
         Self {
             minima: std::collections::VecDeque::new(),
-            shares: [0.0; CLASSES],
+            shares: vec![0.0; CLASSES],
         }
     }
 }

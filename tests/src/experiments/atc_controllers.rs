@@ -48,14 +48,13 @@ fn row(alignment: &Alignment, mode: Mode, name: &str, safe_ms: Option<u32>) -> V
 }
 
 pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
-    let profiles = match &bench.inputs.profile {
-        Some(profile) => vec![profile.clone()],
-        None => {
-            let named = NETWORKS.into_iter().map(Profile::named);
-            let recorded = Profile::recorded().into_iter();
-            let recorded = recorded.map(|file| Profile::parse(&file.to_string_lossy()));
-            named.chain(recorded).collect::<Result<_, _>>()?
-        }
+    let profiles = if let Some(profile) = &bench.inputs.profile {
+        vec![profile.clone()]
+    } else {
+        let named = NETWORKS.into_iter().map(Profile::named);
+        let recorded = Profile::recorded().into_iter();
+        let recorded = recorded.map(|file| Profile::parse(&file.to_string_lossy()));
+        named.chain(recorded).collect::<Result<_, _>>()?
     };
     let motion = bench.inputs.motion.clone();
     let mut rows = Vec::new();
