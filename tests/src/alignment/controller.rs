@@ -29,7 +29,7 @@ impl Baseline {
 
 #[derive(Debug)]
 pub(super) enum Controller {
-    Product(DelayEstimator),
+    Product(Box<DelayEstimator>),
     NetEq(NetEq),
     Kalman(Option<Kalman>),
 }
@@ -37,7 +37,7 @@ pub(super) enum Controller {
 impl Controller {
     pub(super) fn new(cap: Span, baseline: Option<Baseline>) -> Self {
         match baseline {
-            None => Self::Product(DelayEstimator::new(cap)),
+            None => Self::Product(Box::new(DelayEstimator::new(cap))),
             Some(Baseline::NetEq) => Self::NetEq(NetEq::default()),
             Some(Baseline::Kalman) => Self::Kalman(None),
         }
