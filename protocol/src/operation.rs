@@ -2,10 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::compensation::CAP_DEFAULT;
 use crate::control::{Annotation, CameraView, is_force_limit, is_mode, is_name};
 use crate::handshake::{ROSTER_MAX, Role};
 use crate::tool::ToolDescription;
-use crate::{Emulation, OperationId, ParticipantId, Pose, ServerTime, TopologyHash};
+use crate::{Emulation, OperationId, ParticipantId, Pose, ServerTime, Span, TopologyHash};
 
 /// The most blade points in one stroke. 512 points of 56 B stay below half of the largest frame. The
 /// server refuses a longer stroke; the client cuts it in pieces.
@@ -305,6 +306,16 @@ pub enum CompensationMode {
         /// The cap of D, microseconds. A participant with a larger estimate is notified.
         cap_us: u32,
     },
+}
+
+impl CompensationMode {
+    /// The largest D.
+    pub fn cap(self) -> Span {
+        match self {
+            Self::Adaptive { cap_us } => Span::from_micros(i64::from(cap_us)),
+            Self::None | Self::Fixed => CAP_DEFAULT,
+        }
+    }
 }
 
 /// The compensation in force when a client joins.

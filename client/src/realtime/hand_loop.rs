@@ -335,13 +335,14 @@ mod tests {
     use nalgebra::{Matrix3, Vector3};
     use palpate_device::backend::sim::{ScriptStart, SimHand};
     use palpate_device::{
-        Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState,
+        Buttons, Calibration, ClockOwner, DeviceCaps, DeviceFault, DeviceTime, Faults, ForceState,
         HapticDevice, Rejection, Sample, Script, Wrench, Written,
     };
     use palpate_haptics::{Chain, ChainConfig, ContactModel, Touch};
+    use palpate_protocol::tool::INSERTED_BUTTON;
     use palpate_protocol::{ClientTime, Span};
 
-    use super::{HandLoop, LoopCommands, Pose, Turned};
+    use super::{HandLoop, LoopCommands, Pose, Turned, local_sample, tool_buttons};
 
     const MS: Span = Span::from_millis(1);
 

@@ -1,7 +1,7 @@
 //! One site's measurement of the age of received motion.
 
-use super::ALPHA;
-use super::bridged::BridgedDelay;
+use super::requirement::Requirement;
+use super::{ALPHA, CAP_DEFAULT};
 use crate::lateness::Lateness;
 use crate::request::DelayReport;
 use crate::{ServerTime, Span};
@@ -73,19 +73,49 @@ impl LeastAge {
 }
 
 /// One site's measurement of the age of received motion.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct DelayEstimator {
     mean_us: f64,
     deviation_us: f64,
     first_arrival: Option<ServerTime>,
     least: LeastAge,
-    bridged: BridgedDelay,
+    requirement: Requirement,
     urgent: bool,
     measured: u64,
     ignored: u64,
 }
 
+impl Default for DelayEstimator {
+    fn default() -> Self {
+        Self::new(CAP_DEFAULT)
+    }
+}
+
 impl DelayEstimator {
+    /// A measurement of a session whose D is at most `cap`. Longer stalls are not measured.
+    pub fn new(cap: Span) -> Self {
+        Self {
+            mean_us: 0.0,
+            deviation_us: 0.0,
+            first_arrival: None,
+            least: LeastAge::default(),
+            requirement: Requirement::new(cap),
+            urgent: false,
+            measured: 0,
+            ignored: 0,
+        }
+    }
+
+    /// Changes the largest D.
+    pub fn set_cap(&mut self, cap: Span) {
+        self.requirement.set_cap(cap);
+    }
+
+    /// Forgets the path, because another one begins.
+    pub fn restart(&mut self) {
+        *self = Self::new(self.requirement.cap());
+    }
+
     /// Notes motion that arrived. The lateness that machines caused is subtracted from its age, down to
     /// the minimum age of the last seconds: an exaggerated lateness report can not make the network seem
     /// faster. Returns the remaining age.
@@ -109,7 +139,8 @@ impl DelayEstimator {
         let d = (self.mean_us as i64).clamp(earliest, latest);
         let d_us = d as f64;
         let age = Span::from_micros(d);
-        self.urgent |= (self.bridged).handle_arrival(&motion, Span::from_micros(taken_off), age);
+        self.urgent |=
+            (self.requirement).handle_arrival(&motion, Span::from_micros(taken_off), age);
         if self.measured == 0 {
             self.mean_us = d_us;
         }
@@ -122,7 +153,7 @@ impl DelayEstimator {
     /// The delay D* that this site needs; `None` before the second measurement: after a demotion, late
     /// motion of that participant may still arrive.
     pub fn wanted(&self) -> Option<Span> {
-        self.bridged.wanted_us().map(Span::from_micros)
+        self.requirement.wanted_us().map(Span::from_micros)
     }
 
     /// Whether the path has become slower since the last call. Report it at once: until D has grown all

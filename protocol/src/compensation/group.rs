@@ -1,6 +1,5 @@
 //! The server's choice of the playout delay D.
 
-use super::CAP_DEFAULT;
 use crate::operation::{CompensationMode, CompensationSettings};
 use crate::request::DelayReport;
 use crate::{ParticipantId, ServerTime, Span};
@@ -119,8 +118,11 @@ impl GroupDelay {
     }
 
     /// Takes a site's delay estimate: a participant's report, or the server's own measurement of
-    /// received motion, under [`ParticipantId::SERVER`].
+    /// received motion, under [`ParticipantId::SERVER`]. One beyond the cap cannot be bridged and changes nothing.
     pub fn handle_report(&mut self, who: ParticipantId, report: DelayReport) {
+        if report.wanted_us > self.cap_us() {
+            return;
+        }
         match self.wanted.iter_mut().find(|(p, _)| *p == who) {
             Some((_, wanted)) => *wanted = report.wanted_us,
             None => self.wanted.push((who, report.wanted_us)),
@@ -133,6 +135,10 @@ impl GroupDelay {
         self.prediction_max_us = path_us;
     }
 
+    fn cap_us(&self) -> u32 {
+        u32::try_from(self.mode.cap().as_micros()).unwrap_or(u32::MAX)
+    }
+
     /// Forgets a participant that left.
     pub fn remove(&mut self, who: ParticipantId) {
         self.wanted.retain(|(p, _)| *p != who);
@@ -141,11 +147,11 @@ impl GroupDelay {
     /// Returns a new decision if one is due. It takes effect `lead` from now: choose a lead within which
     /// an operation reaches every site, so that all sites change together.
     pub fn poll_change(&mut self, now: ServerTime, lead: Span) -> Option<DelayChange> {
-        let cap_us = match self.mode {
-            CompensationMode::Adaptive { cap_us } => cap_us,
+        match self.mode {
+            CompensationMode::Adaptive { .. } => {}
             CompensationMode::None => return self.end_delay(now, lead),
             CompensationMode::Fixed => return None,
-        };
+        }
         let (server, participants): (Vec<_>, Vec<_>) =
             (self.wanted.iter()).partition(|(p, _)| *p == ParticipantId::SERVER);
         let most =
@@ -161,7 +167,7 @@ impl GroupDelay {
             }
             (server, participants) => server.max(participants)?,
         }
-        .min(cap_us);
+        .min(self.cap_us());
         let change = i64::from(wanted) - i64::from(self.target_us);
         let part = i64::from(self.target_us) / CHANGE_PART;
         let min = part.clamp(CHANGE_LEAST.as_micros(), CHANGE_MIN.as_micros());
@@ -202,12 +208,8 @@ impl GroupDelay {
     pub fn lead(&self) -> Span {
         // No change takes effect before an earlier one, so that one report must not postpone all later
         // changes.
-        let most = match self.mode {
-            CompensationMode::Adaptive { cap_us } => cap_us,
-            CompensationMode::None | CompensationMode::Fixed => CAP_DEFAULT.as_micros() as u32,
-        };
         let wanted = self.wanted.iter().map(|(_, w)| *w).max().unwrap_or(0);
-        let longest = wanted.min(most).max(self.target_us);
+        let longest = wanted.max(self.target_us);
         LEAD_MARGIN + Span::from_micros(i64::from(longest) / 2)
     }
 

@@ -1,7 +1,6 @@
 //! Settings of a session, fixed before the first participant joins.
 
-use palpate_protocol::compensation::CAP_DEFAULT;
-use palpate_protocol::operation::{CompensationMode, CompensationSettings};
+use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::{Epoch, Grant, ModelInfo, ParticipantId, ResumeToken, Role, Span};
 
 use crate::joins::RoleClass;
@@ -61,9 +60,6 @@ impl RoomConfig {
 
     /// The largest playout delay. A participant that needs more is demoted.
     pub(crate) fn cap(&self) -> Span {
-        match self.compensation.mode {
-            CompensationMode::Adaptive { cap_us } => Span::from_micros(i64::from(cap_us)),
-            CompensationMode::None | CompensationMode::Fixed => CAP_DEFAULT,
-        }
+        self.compensation.mode.cap()
     }
 }

@@ -133,7 +133,7 @@ impl Participant {
             cuts,
             latest_stroke: None,
             requests: RequestHistory::default(),
-            delay: DelayEstimator::default(),
+            delay: DelayEstimator::new(cap),
             round_trip: None,
             report: None,
             downlink_us: 0,
@@ -292,7 +292,7 @@ impl Participant {
     /// connection.
     pub(crate) fn disconnect(&mut self, at: ServerTime) {
         self.deactivate(at);
-        self.delay = DelayEstimator::default();
+        self.delay.restart();
         self.round_trip = None;
         self.report = None;
     }

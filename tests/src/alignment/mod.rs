@@ -8,6 +8,7 @@
 //! The disagreement is the distance between the positions that the two sites show for one tool at one true
 //! time (Lin 2007, figs 7.26 to 7.28).
 
+mod controller;
 mod motion;
 mod predictor;
 mod site;
@@ -23,6 +24,7 @@ use serde::Serialize;
 
 use crate::hand::Hand;
 use crate::network::Profile;
+pub use controller::Baseline;
 use motion::hands;
 use two_sites::{Moment, TwoSites};
 
@@ -42,6 +44,8 @@ pub enum Mode {
     None,
     Fixed(u32),
     Adaptive,
+    /// An adaptive delay by a controller from the literature.
+    Baseline(Baseline),
     /// The server's prediction instead of a delay: the alternative reading of the source.
     Predicted,
 }
@@ -51,7 +55,7 @@ impl Mode {
         let (mode, initial_delay_us) = match self {
             Self::None | Self::Predicted => (CompensationMode::None, 0),
             Self::Fixed(ms) => (CompensationMode::Fixed, ms * 1000),
-            Self::Adaptive => {
+            Self::Adaptive | Self::Baseline(_) => {
                 let cap_us = u32::try_from(CAP_DEFAULT.as_micros()).unwrap_or(u32::MAX);
                 (CompensationMode::Adaptive { cap_us }, 60_000)
             }
@@ -185,10 +189,14 @@ impl Alignment {
         let network_seed = Pcg64::seed_from_u64(rng.random()).random();
         let network = (&self.profile, network_seed);
         let hands = hands(self.motion.as_ref(), self.seed);
-        let simulation = TwoSites::new(&mode.settings(), network, hands, self.seed);
+        let baseline = match mode {
+            Mode::Baseline(baseline) => Some(baseline),
+            _ => None,
+        };
+        let simulation = TwoSites::new(&mode.settings(), baseline, network, hands, self.seed);
         match mode {
             Mode::Predicted => simulation.predicted(),
-            Mode::None | Mode::Fixed(_) | Mode::Adaptive => simulation,
+            _ => simulation,
         }
     }
 
@@ -221,11 +229,11 @@ impl Alignment {
         };
         let (mut low, mut high) = (0, 64);
         while !safe(high) {
-            low = high + 1;
-            high *= 2;
-            if high > FIXED_MAX_MS {
+            if high == FIXED_MAX_MS {
                 return None;
             }
+            low = high + 1;
+            high = (2 * high).min(FIXED_MAX_MS);
         }
         while low < high {
             let middle = low.midpoint(high);

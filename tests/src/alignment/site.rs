@@ -3,18 +3,19 @@
 use std::sync::Arc;
 
 use palpate_protocol::clock::{ClockEstimate, ClockMap};
-use palpate_protocol::compensation::{DelayEstimator, DelaySchedule, MotionArrival};
+use palpate_protocol::compensation::{DelaySchedule, MotionArrival};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::timeline::{Shown, Timeline};
 use palpate_protocol::{ServerTime, Span, ToolSample};
 
+use super::controller::{Baseline, Controller};
 use crate::hand::Hand;
 use crate::simulated_session::SiteClock;
 
 pub(super) struct Site {
     pub hand: Arc<dyn Hand>,
     pub clock: ClockEstimate,
-    pub estimator: DelayEstimator,
+    pub estimator: Controller,
     pub schedule: DelaySchedule,
     /// Timelines of the own tool and the other site's tool.
     pub views: [Timeline; 2],
@@ -30,12 +31,13 @@ impl Site {
     pub(super) fn new(
         hand: Arc<dyn Hand>,
         settings: &CompensationSettings,
+        baseline: Option<Baseline>,
         own_clock: SiteClock,
     ) -> Self {
         Self {
             hand,
             clock: ClockEstimate::new(),
-            estimator: DelayEstimator::default(),
+            estimator: Controller::new(settings.mode.cap(), baseline),
             schedule: DelaySchedule::new(settings),
             views: [Timeline::default(), Timeline::default()],
             batch: Vec::new(),

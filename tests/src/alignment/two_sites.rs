@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use palpate_protocol::compensation::{DelayEstimator, DelaySchedule, GroupDelay, MotionArrival};
+use palpate_protocol::compensation::{DelaySchedule, GroupDelay, MotionArrival};
 use palpate_protocol::datagram::{Probe, Reply};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::request::DelayReport;
@@ -11,6 +11,7 @@ use palpate_protocol::{ParticipantId, ServerTime, Span, ToolSample};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::controller::{Baseline, Controller};
 use super::predictor::Predictor;
 use super::site::Site;
 use crate::hand::Hand;
@@ -88,7 +89,7 @@ pub struct TwoSites {
     sites: [Site; 2],
     links: Links<Packet>,
     group: GroupDelay,
-    measured: [DelayEstimator; 2],
+    measured: [Controller; 2],
     schedule: DelaySchedule,
     predictor: Option<Predictor>,
     probe_due_us: [i64; 2],
@@ -100,6 +101,7 @@ pub struct TwoSites {
 impl TwoSites {
     pub fn new(
         settings: &CompensationSettings,
+        baseline: Option<Baseline>,
         (profile, network_seed): (&Profile, u64),
         hands: [Arc<dyn Hand>; 2],
         seed: u64,
@@ -108,13 +110,13 @@ impl TwoSites {
         let sites = hands.map(|hand| {
             let offset_us = rng.random_range(-3_600_000_000..3_600_000_000);
             let drift = rng.random_range(-DRIFT_MAX..DRIFT_MAX);
-            Site::new(hand, settings, SiteClock::new(offset_us, drift))
+            Site::new(hand, settings, baseline, SiteClock::new(offset_us, drift))
         });
         Self {
             sites,
             links: Links::new(&[profile; 2], network_seed, RESEND_US),
             group: GroupDelay::new(settings),
-            measured: Default::default(),
+            measured: [0, 1].map(|_| Controller::new(settings.mode.cap(), baseline)),
             schedule: DelaySchedule::new(settings),
             predictor: None,
             probe_due_us: [0; 2],
@@ -212,7 +214,7 @@ impl TwoSites {
     }
 
     fn decide(&mut self, now: i64) {
-        let own = self.measured.iter().filter_map(DelayEstimator::report);
+        let own = self.measured.iter().filter_map(Controller::report);
         if let Some(worst) = own.max_by_key(|r| r.wanted_us) {
             self.group.handle_report(ParticipantId::SERVER, worst);
         }

@@ -18,6 +18,9 @@ use crate::test_model::{self, TestModel};
 
 pub(super) const SEED: u64 = 1;
 
+/// A week.
+const TRACE_OFFSET_MAX_S: f64 = 604_800.0;
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Input {
     Model,
@@ -60,7 +63,17 @@ impl Inputs {
     /// Loads the files of a recipe; built models go into `dir`.
     pub(super) fn load(recipe: &Recipe, dir: &Path) -> Result<Self, String> {
         let profile = recipe.profile.as_deref().map(Profile::parse);
-        let profile = profile.transpose()?;
+        let mut profile = profile.transpose()?;
+        if let Some(offset_s) = recipe.trace_offset {
+            let recorded = profile.as_mut().filter(|p| p.has_trace());
+            let recorded = recorded.ok_or("--trace-offset needs a --profile with a trace")?;
+            if !(0.0..=TRACE_OFFSET_MAX_S).contains(&offset_s) {
+                return Err(format!(
+                    "--trace-offset {offset_s} is out of range; use a number from 0 to {TRACE_OFFSET_MAX_S}"
+                ));
+            }
+            recorded.begin_traces_at(offset_s);
+        }
         let motion = recipe.motion.as_ref().map(|file| {
             let motion = Motion::load(Path::new(file)).map_err(|e| format!("{file}: {e}"));
             motion.map(Arc::new)

@@ -5,6 +5,7 @@
 //! [`gallery`](mod@gallery) presents all results on one page.
 
 mod atc;
+mod atc_controllers;
 pub mod command;
 mod cut_force;
 mod cut_gallery;

@@ -62,6 +62,9 @@ pub struct Recipe {
     /// Network instead of the default: a name, or a file (.toml)
     #[arg(long)]
     pub profile: Option<String>,
+    /// Where every session begins in the traces of the network, s [default: a random time for each seed and site]
+    #[arg(long, value_name = "SECONDS")]
+    pub trace_offset: Option<f64>,
     /// Recorded hand motion, a table (.csv) or a recording (.json), instead of the default
     #[arg(long, value_name = "FILE")]
     pub motion: Option<String>,
@@ -96,6 +99,7 @@ impl Recipe {
             seeds: self.seeds.or(file.seeds),
             real: self.real.or(file.real),
             profile: self.profile.or(file.profile),
+            trace_offset: self.trace_offset.or(file.trace_offset),
             motion: self.motion.or(file.motion),
         }
     }
@@ -106,7 +110,10 @@ impl Recipe {
             (Input::Seed, self.seed.is_some()),
             (Input::Seeds, self.seeds.is_some()),
             (Input::Real, self.real.is_some()),
-            (Input::Profile, self.profile.is_some()),
+            (
+                Input::Profile,
+                self.profile.is_some() || self.trace_offset.is_some(),
+            ),
             (Input::Motion, self.motion.is_some()),
         ]
     }

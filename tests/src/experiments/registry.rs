@@ -2,9 +2,9 @@
 
 use super::inputs::Input::{self, Model, Motion, Profile, Real, Seed, Seeds};
 use super::{
-    Bench, Outcome, atc, cut_force, cut_gallery, cut_methods, cut_time, cut_width, friction,
-    handle, leg_press, missing_data, needle_force, press, replicas, scale, soft_hard, table_7_1,
-    thin, tool_paths,
+    Bench, Outcome, atc, atc_controllers, cut_force, cut_gallery, cut_methods, cut_time, cut_width,
+    friction, handle, leg_press, missing_data, needle_force, press, replicas, scale, soft_hard,
+    table_7_1, thin, tool_paths,
 };
 
 #[derive(Debug, Clone, Copy)]
@@ -66,6 +66,8 @@ pub const ALL: &[Experiment] = experiments! {
         "two sites align a part with an adaptive playout delay (fig 7.28)";
     "atc-predicted", 7.7, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::predicted),
         "two sites align a part with server-side prediction instead of a delay";
+    "atc-controllers", 25.0, [Seed, Profile, Motion], Work::Experiment(atc_controllers::run),
+        "the adaptive playout delay beside the controllers of NetEQ and of a Kalman filter";
     "transmission", 1.1, [Seed, Profile, Motion], Work::Experiment(atc::transmission),
         "delay of a motion from site to site, with and without compensation (fig 7.24)";
     "jitter", 1.3, [Seed, Profile, Motion], Work::Experiment(atc::jitter),

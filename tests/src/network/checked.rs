@@ -50,6 +50,10 @@ pub(super) fn maybe_period_s<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f
     between(d, (1e-3, WEEK_S), "a period in seconds").map(Some)
 }
 
+pub(super) fn maybe_offset_s<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
+    seconds(d).map(Some)
+}
+
 /// Queue size in bytes; a queue below one full packet would drop every packet.
 pub(super) fn queue_bytes<'de, D: Deserializer<'de>>(d: D) -> Result<u64, D::Error> {
     let bytes = u64::deserialize(d)?;

@@ -28,7 +28,8 @@ Every key of a profile file; [up] (to the server) and [down] override [both]:
   steps = { repeat_s = 20.0, delays = [{ at_s = 0.0, delay_ms = 30.0 }, { at_s = 10.0, delay_ms = 80.0 }] }
   outages = { repeat_s = 60.0, times = [{ from_s = 5.0, to_s = 5.5 }] }           # the link is down
   [up]
-  trace = \"recorded.csv\"     # time_ms,delay_ms,lost; repeats; added to the rest";
+  trace = \"recorded.csv\"     # time_ms,delay_ms,lost; repeats; added to the rest
+  trace_offset_s = 12.0      # where the session begins in it; by default at a random time";
 
 /// Arguments of `profiles`.
 #[derive(Debug, Args)]
@@ -46,6 +47,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool, String> {
     for name in Profile::names() {
         let profile = Profile::named(name)?;
         print_line(&format!("{name:17} {}", sentence(&profile.up)))?;
+    }
+    for file in Profile::recorded() {
+        let name = file.file_stem().unwrap_or_default().to_string_lossy();
+        print_line(&format!("{name:17} recorded, in PALPATE_DATA"))?;
     }
     Ok(true)
 }

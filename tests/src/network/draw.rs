@@ -44,6 +44,11 @@ impl Draw {
         }
     }
 
+    /// A number of both directions of a flow.
+    pub(super) fn phase(seed: u64, flow: u64) -> u64 {
+        mix(seed ^ mix(flow ^ mix(0x99 << 8)))
+    }
+
     /// The stream of the `n`-th packet for a purpose.
     pub(super) fn stream(self, n: u64, purpose: Purpose) -> Pcg64 {
         let key = mix(self.key ^ mix(purpose as u64));

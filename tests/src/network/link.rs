@@ -27,6 +27,10 @@ pub struct Link {
     /// Recorded delays and losses, in addition to the others.
     #[serde(skip_serializing_if = "is_default")]
     pub trace: Option<Trace>,
+    /// Begin of the session in the trace, s; without it each participant begins at a random time of the trace.
+    #[serde(skip_serializing_if = "is_default")]
+    #[serde(deserialize_with = "checked::maybe_offset_s")]
+    pub trace_offset_s: Option<f64>,
     #[serde(skip_serializing_if = "is_default")]
     pub jitter: Jitter,
     #[serde(skip_serializing_if = "is_default")]

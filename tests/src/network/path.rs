@@ -81,13 +81,23 @@ pub struct Path {
     busy_until_us: f64,
     /// Latest arrival, for networks that keep the order.
     last_arrival_us: u64,
+    /// Time of the trace at the start of the network.
+    trace_offset_us: u64,
 }
 
 impl Path {
     /// Path of a flow in one direction. Packet numbers start with this call.
     pub fn new(profile: &Profile, seed: u64, flow: u64, direction: Direction) -> Self {
+        let link = profile.link(direction).clone();
+        let trace_offset_us = match (link.trace_offset_s, &link.trace) {
+            (Some(s), _) => (s * 1e6).round() as u64,
+            // Both directions of a flow were recorded at one time.
+            (None, Some(trace)) => Draw::phase(seed, flow) % trace.period_us().max(1),
+            (None, None) => 0,
+        };
         Self {
-            link: profile.link(direction).clone(),
+            link,
+            trace_offset_us,
             draw: Draw::new(seed, flow, direction),
             counts: PathCounts::default(),
             now_us: 0,
@@ -118,7 +128,8 @@ impl Path {
             self.counts.queue_full += 1;
             return Arrivals::new();
         };
-        let recorded = self.link.trace.as_ref().map(|t| t.at(now_us));
+        let trace_us = now_us + self.trace_offset_us;
+        let recorded = self.link.trace.as_ref().map(|t| t.at(trace_us));
         let bursts = self.link.bursts.filter(|_| was_bad);
         let loss = bursts.map_or(self.link.loss, |b| b.loss);
         if self.draw.share(n, Purpose::Loss) < loss || recorded.is_some_and(|r| r.lost) {

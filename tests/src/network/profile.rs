@@ -1,6 +1,6 @@
 //! Network profiles, by name or from a file.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
@@ -63,6 +63,29 @@ impl Profile {
         })
     }
 
+    /// The recorded networks: files in the folder `networks` of `PALPATE_DATA`, by name.
+    pub fn recorded() -> Vec<PathBuf> {
+        let folder = std::env::var_os("PALPATE_DATA").map(|data| Path::new(&data).join("networks"));
+        let entries = folder.and_then(|folder| std::fs::read_dir(folder).ok());
+        let files = entries.into_iter().flatten().flatten().map(|e| e.path());
+        let mut files: Vec<PathBuf> = files
+            .filter(|file| file.extension().is_some_and(|e| e == "toml"))
+            .collect();
+        files.sort();
+        files
+    }
+
+    pub fn has_trace(&self) -> bool {
+        self.up.trace.is_some() || self.down.trace.is_some()
+    }
+
+    /// Begins all sessions at this time of the traces, s, instead of a random one.
+    pub fn begin_traces_at(&mut self, offset_s: f64) {
+        for link in [&mut self.up, &mut self.down] {
+            link.trace_offset_s = Some(offset_s);
+        }
+    }
+
     /// A symmetric network.
     pub fn both(name: &str, link: Link) -> Self {
         Self {
@@ -83,7 +106,11 @@ impl Profile {
     pub fn parse(name_or_path: &str) -> Result<Self, String> {
         let path = Path::new(name_or_path);
         if path.extension().is_none_or(|e| e != "toml") {
-            return Self::named(name_or_path);
+            let is_named = |file: &PathBuf| file.file_stem().is_some_and(|s| s == name_or_path);
+            return match Self::recorded().into_iter().find(is_named) {
+                Some(file) => Self::parse(&file.to_string_lossy()),
+                None => Self::named(name_or_path),
+            };
         }
         let remedy = "long recordings go into a trace";
         let text = input_file::read(path, "network profile", FILE_BYTES_MAX, remedy)?;

@@ -1,5 +1,6 @@
 //! Laws of the emulator, measured on packets in virtual time.
 
+use std::collections::BTreeSet;
 use std::path::Path as File;
 
 use proptest::prelude::*;
@@ -313,12 +314,12 @@ fn trace_is_replayed_exactly_and_repeats() {
         (125.0, 30.25, false),
     ];
     let rows = rows.map(|(time, delay, lost)| format!("{time},{delay},{}", u8::from(lost)));
-    let csv = format!("time_ms,delay_ms,lost\n{}\n", rows.join("\n"));
+    let csv = format!("\u{feff}time_ms,delay_ms,lost\n{}\n", rows.join("\n"));
     std::fs::write(dir.path().join("t.csv"), csv).unwrap();
     let file = dir.path().join("p.toml");
     std::fs::write(
         &file,
-        "name = \"recorded\"\n[both]\ntrace = \"t.csv\"\nreorder = true\n",
+        "name = \"recorded\"\n[both]\ntrace = \"t.csv\"\ntrace_offset_s = 0\nreorder = true\n",
     )
     .unwrap();
     let profile = Profile::parse(file.to_str().unwrap()).unwrap();
@@ -337,6 +338,31 @@ fn trace_is_replayed_exactly_and_repeats() {
             .map(|a| a.at_us - ms * 1000);
         assert_eq!(delay, asked, "{ms} ms");
     }
+}
+
+#[test]
+fn each_flow_begins_at_its_own_time_of_a_trace_in_both_directions() {
+    let dir = tempfile::tempdir().unwrap();
+    let rows: Vec<String> = (0..1000).map(|k| format!("{k},{k},0")).collect();
+    let csv = format!("time_ms,delay_ms,lost\n{}\n", rows.join("\n"));
+    std::fs::write(dir.path().join("t.csv"), csv).unwrap();
+    let text = "name = \"recorded\"\n[both]\ntrace = \"t.csv\"\n";
+    let mut profile = Profile::from_toml(text, &dir.path().join("p.toml")).unwrap();
+    let first_ms = |profile: &Profile, seed, flow| {
+        let ways = [Direction::Up, Direction::Down];
+        let [up, down] = ways.map(|way| Path::new(profile, seed, flow, way).send(0, 10)[0].at_us);
+        assert_eq!(up, down);
+        up / 1000
+    };
+    let begins: BTreeSet<u64> = (0..10)
+        .flat_map(|seed| [0, 1].map(|flow| first_ms(&profile, seed, flow)))
+        .collect();
+    assert!(
+        begins.len() > 15 && begins.last() > Some(&800),
+        "{begins:?}"
+    );
+    profile.begin_traces_at(0.25);
+    assert_eq!(first_ms(&profile, 1, 1), 250);
 }
 
 #[test]

@@ -15,7 +15,8 @@ pub const TRACE_ROWS_MAX: usize = 1_000_000;
 const TRACE_BYTES_MAX: u64 = 64_000_000;
 const HEADER: &str = "time_ms,delay_ms,lost";
 
-/// A recorded network. It repeats one row length after its last row.
+/// A recorded network. It repeats one row length after its last row. Each flow starts at a random row, or at
+/// [`Link::trace_offset_s`](super::Link::trace_offset_s).
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 #[serde(from = "PathBuf", into = "PathBuf")]
 pub struct Trace {
@@ -104,6 +105,8 @@ impl TraceRow {
 
 /// The rows of a file, or the invalid line and its error.
 fn rows_of(text: &str) -> Result<Vec<TraceRow>, (usize, String)> {
+    // Spreadsheets write a byte-order mark.
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut lines = text
         .lines()
         .enumerate()

@@ -3,7 +3,6 @@
 use super::incoming_snapshot::{IncomingSnapshot, Progress};
 use super::{ClientSession, DELAY_REPORT_PERIOD, Joined, State};
 use crate::codec;
-use crate::compensation::DelayEstimator;
 use crate::handshake::{ROSTER_MAX, Welcome};
 use crate::operation::{Operation, OperationKind};
 use crate::request::ServerMessage;
@@ -38,6 +37,7 @@ impl ClientSession {
         let snapshot = welcome.snapshot.map(IncomingSnapshot::new).transpose()?;
         self.link.open(welcome.epoch, welcome.participant);
         let schedule = self.schedule_after(&welcome);
+        self.delay.set_cap(welcome.compensation.mode.cap());
         self.state = State::Joined(Box::new(Joined {
             participant: welcome.participant,
             next_operation: first,
@@ -158,6 +158,7 @@ impl ClientSession {
             } => {
                 joined.schedule.handle_change(*delay_us, *effective_at);
             }
+            OperationKind::CompensationMode { mode } => self.delay.set_cap(mode.cap()),
             OperationKind::Left { participant, .. }
             | OperationKind::Disconnected { participant }
             | OperationKind::Demoted { participant, .. }
@@ -168,7 +169,7 @@ impl ClientSession {
                 joined.newest_shown.retain(|(p, _)| p != participant);
                 // The last delay estimate is void: no other participant's motion arrives.
                 if joined.newest_shown.is_empty() {
-                    self.delay = DelayEstimator::default();
+                    self.delay.restart();
                 }
             }
             _ => {}

@@ -4,7 +4,6 @@
 //! and no report would be sent until then, and the clock map would stay wrong.
 
 use super::{ClientSession, DELAY_REPORT_PERIOD, PROBE_PERIOD, State};
-use crate::compensation::DelayEstimator;
 use crate::datagram::Reply;
 use crate::session::ClientEvent;
 use crate::{ClientTime, Span};
@@ -33,7 +32,7 @@ impl ClientSession {
         let map = self.clock.handle_reply(reply, now);
         if self.clock.steps() != steps {
             // Ages measured with the wrong map would be remembered for seconds.
-            self.delay = DelayEstimator::default();
+            self.delay.restart();
         }
         if let Some(map) = map {
             self.emit(ClientEvent::Clock(map));

@@ -318,6 +318,7 @@ impl Room {
         let mut restored = Vec::new();
         for seat in self.participants.values_mut() {
             seat.demotion.set_cap(cap);
+            seat.delay.set_cap(cap);
             if !has_cap && seat.demotion.end() {
                 restored.push(seat.id);
             }
