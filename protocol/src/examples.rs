@@ -505,7 +505,7 @@ pub fn datagrams() -> Vec<Example<Datagram>> {
         ("reply", Body::Reply(reply)),
         ("delays", Body::Delays(reports)),
         ("heartbeat", Body::Delays(Vec::new())),
-        ("copy", Body::Copy(vec![0x01, 0x02, 0x03])),
+        ("copy", Body::Copy((7, vec![0x01, 0x02, 0x03]))),
     ];
     let acknowledgement = Acknowledgement {
         newest: 77,

@@ -120,7 +120,7 @@ impl GroupDelay {
     /// Takes a site's delay estimate: a participant's report, or the server's own measurement of
     /// received motion, under [`ParticipantId::SERVER`]. One beyond the cap cannot be bridged and changes nothing.
     pub fn handle_report(&mut self, who: ParticipantId, report: DelayReport) {
-        if report.wanted_us > self.cap_us() {
+        if !self.can_bridge(&report) {
             return;
         }
         match self.wanted.iter_mut().find(|(p, _)| *p == who) {
@@ -133,6 +133,11 @@ impl GroupDelay {
     /// estimate to an earlier report, although both may be of one path.
     pub fn bound_predictions(&mut self, path_us: u32) {
         self.prediction_max_us = path_us;
+    }
+
+    /// Whether the cap allows the delay that a participant needs.
+    pub fn can_bridge(&self, report: &DelayReport) -> bool {
+        report.wanted_us <= self.cap_us()
     }
 
     fn cap_us(&self) -> u32 {

@@ -257,7 +257,8 @@ impl Requirement {
             recent.map(|i| i.from_us).fold(age_us, i64::min)
         };
         let (level_us, step_us) = (least_us(LEVEL_WINDOW), least_us(STEP_WINDOW));
-        let required_us = level_us + self.quantile_us;
+        // Peaks beyond the cap are not bridged; a level beyond it is.
+        let required_us = (level_us + self.quantile_us).min(self.cap_us.max(level_us));
         let wanted_us =
             |required_us| (required_us - bridge_us(required_us, self.quantile_us)).max(0);
         if step_us <= required_us {

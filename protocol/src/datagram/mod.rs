@@ -23,7 +23,7 @@
 //! | 4 reply | id u32, client time i64, server received i64, server sent i64 |
 //! | 5 delays | count u8, then {participant u16, mean u32, deviation u32, wanted u32} |
 //! | 6 displacements | those of all nodes in view, see [`shape`] |
-//! | 7 copy | a message of the operations stream, as in its frame |
+//! | 7 copy | number on the operations stream u32, a message of it as in its frame |
 //!
 //! Decoders never panic, never allocate more than the datagram could hold, and reject trailing bytes.
 
@@ -48,6 +48,7 @@ pub use memory::Memory;
 pub use quantise::{POSITION_MAX_M, POSITION_STEP_M, TIME_STEP_US, as_sent};
 
 use crate::request::DelayReport;
+use crate::session::MessageCopy;
 use crate::{ClientTime, ParticipantId, ProtocolError, ServerTime, ToolTrack};
 
 /// The largest datagram in bytes: below the smallest path that QUIC allows (1200 B of UDP payload) with
@@ -79,8 +80,8 @@ pub enum Body {
     Reply(Reply),
     /// Each participant's delay estimate.
     Delays(Vec<(ParticipantId, DelayReport)>),
-    /// The bytes of a stream message, in case its packet is lost.
-    Copy(Vec<u8>),
+    /// A stream message once more, in case its packet is lost.
+    Copy(MessageCopy),
 }
 
 /// A client's query of the server's clock.
@@ -235,7 +236,8 @@ impl Datagram {
                 write_delays(&mut w, list)?;
                 w.into_vec()
             }
-            Body::Copy(message) => {
+            Body::Copy((number, message)) => {
+                w.u32(*number);
                 let mut out = w.into_vec();
                 out.extend_from_slice(message);
                 out
@@ -331,7 +333,10 @@ impl<'a> Opened<'a> {
                     nodes: nodes.metres(),
                 })
             }
-            KIND_COPY => Body::Copy(self.rest.to_vec()),
+            KIND_COPY => {
+                let mut r = Reader::new(self.rest, "copy");
+                Body::Copy((r.u32()?, r.rest().to_vec()))
+            }
             kind => read_plain(kind, self.rest)?,
         };
         Ok(Datagram {

@@ -103,7 +103,7 @@ fn every_kind() -> Vec<Datagram> {
             (ParticipantId(1), report),
             (ParticipantId(9), DelayReport::default()),
         ]),
-        Body::Copy(vec![1, 2, 3]),
+        Body::Copy((5, vec![1, 2, 3])),
     ]
     .map(|body| Datagram {
         header: header(),

@@ -14,14 +14,14 @@ use crate::compensation::{DelayEstimator, DelaySchedule, MotionArrival, REPORT_O
 use crate::datagram::{Body, Header};
 use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused};
 use crate::lateness::LONG_STALL;
-use crate::operation::Operation;
 use crate::request::{ClientMessage, Request, RequestKind, ServerMessage};
 use crate::session::copies::{IncomingCopies, OutgoingCopies};
 use crate::session::motion_batch::MotionBatch;
 use crate::session::outbox::Outbox;
 use crate::session::preamble::PreambleReader;
 use crate::session::{
-    ClientEvent, CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, Link, LinkStats, SERVER_SILENCE,
+    ClientEvent, CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, Link, LinkStats, MessageCopy,
+    SERVER_SILENCE,
 };
 use crate::{
     ClientTime, LocalSample, OperationId, ParticipantId, ProtocolError, RequestId, ServerTime,
@@ -66,8 +66,6 @@ impl ClientSession {
 struct Joined {
     participant: ParticipantId,
     next_operation: OperationId,
-    /// Operations that came before the stream brought them.
-    copies: IncomingCopies<Operation>,
     /// How long the log was at the welcome; `None` once all that was in it has arrived.
     catch_up: Option<u64>,
     /// The snapshot that is arriving.
@@ -85,6 +83,7 @@ pub struct ClientSession {
     decoder: FrameDecoder<ServerMessage>,
     outbox: Outbox,
     copies: OutgoingCopies,
+    incoming: IncomingCopies<ServerMessage>,
     link: Link,
     clock: ClockEstimate,
     delay: DelayEstimator,
@@ -117,12 +116,15 @@ impl ClientSession {
                 limit: codec::HELLO_MAX_BYTES,
             });
         }
+        let mut copies = OutgoingCopies::default();
+        copies.push(&frame, false);
         outbox.push_bytes(frame)?;
         Ok(Self {
             state: State::Preamble(PreambleReader::default()),
             decoder: FrameDecoder::new(codec::FRAME_MAX_BYTES),
             outbox,
-            copies: OutgoingCopies::default(),
+            copies,
+            incoming: IncomingCopies::default(),
             link: Link::default(),
             clock: ClockEstimate::new(),
             delay: DelayEstimator::default(),
@@ -174,9 +176,34 @@ impl ClientSession {
             let Some(message) = self.decoder.next()? else {
                 return Ok(());
             };
+            if self.incoming.is_new() {
+                self.handle_message(message, now)?;
+                self.handle_early(now)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Messages whose copies are there and that follow the last one.
+    fn handle_early(&mut self, now: ClientTime) -> Result<(), ProtocolError> {
+        while !matches!(self.state, State::Closed)
+            && let Some(message) = self.incoming.pop()
+        {
             self.handle_message(message, now)?;
         }
         Ok(())
+    }
+
+    fn handle_copy(
+        &mut self,
+        (number, message): MessageCopy,
+        now: ClientTime,
+    ) -> Result<(), ProtocolError> {
+        match codec::decode_body(&message) {
+            Ok(message) => self.incoming.push(number, message),
+            Err(_) => self.link.count_malformed(),
+        }
+        self.handle_early(now)
     }
 
     fn handle_message(
@@ -194,7 +221,7 @@ impl ClientSession {
                 self.close(CloseReason::Goodbye(sentence));
             }
             (State::Joined(_), ServerMessage::Operation(operation)) => {
-                self.handle_streamed(operation)?;
+                self.handle_operation(operation)?;
             }
             (State::Joined(_), ServerMessage::Snapshot(piece)) => self.handle_snapshot(&piece)?,
             (State::Joined(_), ServerMessage::RequestRefused(refused)) => {
@@ -236,8 +263,8 @@ impl ClientSession {
             Body::Reply(_) if stall > LONG_STALL => {}
             Body::Reply(reply) => self.handle_reply(reply, now),
             Body::Delays(list) => self.emit(ClientEvent::Delays(list)),
-            Body::Copy(message) => {
-                if let Err(error) = self.handle_copy(&message) {
+            Body::Copy(copy) => {
+                if let Err(error) = self.handle_copy(copy, now) {
                     self.close(CloseReason::Violation(error));
                 }
             }
@@ -400,7 +427,7 @@ impl ClientSession {
         let leaving = request.kind == RequestKind::Leave;
         let id = request.id.0;
         let frame = codec::encode_frame(&ClientMessage::Request(request))?;
-        self.copies.push(&frame[codec::PREFIX_BYTES..]);
+        self.copies.push(&frame[codec::PREFIX_BYTES..], true);
         self.outbox.push_bytes(frame)?;
         self.last_request = self.last_request.max(id);
         if leaving {

@@ -7,7 +7,7 @@ use crate::datagram::{
     TRACKS_MAX, Tag,
 };
 use crate::lateness::{LocalStalls, Repeated, StallCounter};
-use crate::session::DATAGRAM_BACKLOG_MAX;
+use crate::session::{DATAGRAM_BACKLOG_MAX, MessageCopy};
 use crate::timeline::GAP_LIMIT;
 use crate::{
     Arrival, Epoch, ParticipantId, ProtocolError, SequenceWindow, ServerTime, Span, ToolTrack,
@@ -267,6 +267,10 @@ impl Link {
         self.stats.noise.misdirected += 1;
     }
 
+    pub(super) fn count_malformed(&mut self) {
+        self.stats.noise.malformed += 1;
+    }
+
     pub(super) fn count_old(&mut self) {
         self.stats.noise.old += 1;
     }
@@ -289,6 +293,13 @@ impl Link {
             if let Some((Body::Motion(tracks), since)) = self.waiting.pop_front() {
                 self.pass_lateness_on(&tracks, since);
             }
+        }
+    }
+
+    /// Appends a copy of a stream message, unless so much waits that it would displace motion.
+    pub(super) fn enqueue_copy(&mut self, copy: MessageCopy, since: ServerTime) {
+        if self.waiting.len() < DATAGRAM_BACKLOG_MAX / 4 {
+            self.enqueue(Body::Copy(copy), since);
         }
     }
 

@@ -10,16 +10,16 @@ use crate::datagram::{Body, Probe, Reply};
 use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, RefusalReason, Refused};
 use crate::lateness::LONG_STALL;
 use crate::name;
-use crate::request::{ClientMessage, Request, ServerMessage};
+use crate::request::{ClientMessage, ServerMessage};
 use crate::session::copies::{IncomingCopies, OutgoingCopies};
 use crate::session::outbox::Outbox;
 use crate::session::picture::{PictureStats, PictureStream};
 use crate::session::preamble::{self, PreambleReader};
 use crate::session::round_trip::RoundTrip;
 use crate::session::{
-    CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, HEARTBEAT, Link, LinkStats, MotionRound,
-    PEER_SILENCE, PeerDatagram, PeerEvent, PeerMessage, PeerMotion, STREAM_BACKLOG_MAX_BYTES,
-    STREAM_STALL_MAX,
+    CloseReason, EVENTS_MAX, HANDSHAKE_TIMEOUT, HEARTBEAT, Link, LinkStats, MessageCopy,
+    MotionRound, PEER_SILENCE, PeerDatagram, PeerEvent, PeerMessage, PeerMotion,
+    STREAM_BACKLOG_MAX_BYTES, STREAM_STALL_MAX,
 };
 use crate::{OperationId, ParticipantId, ProtocolError, ServerTime, Span, TokenBucket, ToolTrack};
 
@@ -78,8 +78,7 @@ pub struct ServerPeer {
     decoder: FrameDecoder<ClientMessage>,
     outbox: Outbox,
     copies: OutgoingCopies,
-    /// Requests that came before the stream brought them.
-    requests: IncomingCopies<Request>,
+    incoming: IncomingCopies<ClientMessage>,
     link: Link,
     /// The picture stream of a thin subscriber, from its first picture on.
     picture: Option<Box<PictureStream>>,
@@ -102,8 +101,7 @@ impl ServerPeer {
             decoder: FrameDecoder::new(codec::HELLO_MAX_BYTES),
             outbox: Outbox::default(),
             copies: OutgoingCopies::default(),
-            // A resumed client continues its numbering; its first copies wait for the stream.
-            requests: IncomingCopies::after(Some(0)),
+            incoming: IncomingCopies::default(),
             link: Link::default(),
             picture: None,
             events: VecDeque::new(),
@@ -148,9 +146,34 @@ impl ServerPeer {
             let Some(message) = self.decoder.next()? else {
                 return Ok(());
             };
+            if self.incoming.is_new() {
+                self.handle_message(message, now)?;
+                self.handle_early(now)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Messages whose copies are there and that follow the last one.
+    fn handle_early(&mut self, now: ServerTime) -> Result<(), ProtocolError> {
+        while !matches!(self.state, State::Closed)
+            && let Some(message) = self.incoming.pop()
+        {
             self.handle_message(message, now)?;
         }
         Ok(())
+    }
+
+    fn handle_copy(
+        &mut self,
+        (number, message): MessageCopy,
+        now: ServerTime,
+    ) -> Result<(), ProtocolError> {
+        match codec::decode_body(&message) {
+            Ok(message) => self.incoming.push(number, message),
+            Err(_) => self.link.count_malformed(),
+        }
+        self.handle_early(now)
     }
 
     fn handle_message(
@@ -171,11 +194,7 @@ impl ServerPeer {
                 }
             },
             (State::Joined { .. }, ClientMessage::Request(request)) => {
-                if self.requests.is_new(request.id.0.into()) {
-                    self.handle_request(request, now)?;
-                    self.handle_early(now)?;
-                }
-                Ok(())
+                self.handle_request(request, now)
             }
             (_, ClientMessage::Hello(_)) => Err(ProtocolError::OutOfOrder {
                 what: "hello",
@@ -222,8 +241,8 @@ impl ServerPeer {
                 [(who, report)] if *who == participant => self.emit(PeerEvent::Delay(*report)),
                 _ => self.link.count_misdirected(),
             },
-            Body::Copy(message) => {
-                if let Err(error) = self.handle_copy(&message, now) {
+            Body::Copy(copy) => {
+                if let Err(error) = self.handle_copy(copy, now) {
                     self.violation(error);
                 }
             }
@@ -279,8 +298,8 @@ impl ServerPeer {
                 }
             }
             State::Joined { .. } => {
-                while let Some(message) = self.copies.poll(now - ServerTime::ZERO) {
-                    self.link.enqueue(Body::Copy(message), now);
+                while let Some(copy) = self.copies.poll(now - ServerTime::ZERO) {
+                    self.link.enqueue_copy(copy, now);
                 }
                 if now - self.last_received >= PEER_SILENCE {
                     self.close(CloseReason::Silent(PEER_SILENCE));
@@ -337,7 +356,7 @@ impl ServerPeer {
         };
         match (message, &mut self.state) {
             (PeerMessage::Welcome(welcome), State::AwaitsRoom) => {
-                self.outbox.push(&ServerMessage::Welcome(welcome.clone()))?;
+                self.push(&ServerMessage::Welcome(welcome.clone()), false, now)?;
                 self.link.open(welcome.epoch, welcome.participant);
                 self.decoder.set_limit(codec::FRAME_MAX_BYTES);
                 self.state = State::Joined {
@@ -366,22 +385,19 @@ impl ServerPeer {
                     });
                 }
                 *next_operation = operation.id.next();
+                // The log of the welcome needs no copies.
+                let is_live = operation.id.0 >= *log_end;
                 let message = ServerMessage::Operation(operation.as_ref().clone());
-                let frame = codec::encode_frame(&message)?;
-                if operation.id.0 >= *log_end {
-                    self.copies.push(&frame[codec::PREFIX_BYTES..]);
-                    self.copies.note(now - ServerTime::ZERO);
-                }
-                self.outbox.push_bytes(frame)
+                self.push(&message, is_live, now)
             }
             (PeerMessage::Snapshot(piece), State::Joined { .. }) => {
-                self.outbox.push(&ServerMessage::Snapshot(piece.to_vec()))
+                self.push(&ServerMessage::Snapshot(piece.to_vec()), false, now)
             }
-            (PeerMessage::RequestRefused(refused), State::Joined { .. }) => self
-                .outbox
-                .push(&ServerMessage::RequestRefused(refused.clone())),
+            (PeerMessage::RequestRefused(refused), State::Joined { .. }) => {
+                self.push(&ServerMessage::RequestRefused(refused.clone()), true, now)
+            }
             (PeerMessage::Invitation(invitation), State::Joined { .. }) => {
-                self.outbox.push(&ServerMessage::Invitation(*invitation))
+                self.push(&ServerMessage::Invitation(*invitation), true, now)
             }
             (PeerMessage::Invitation(_), _) => not_joined("invitation"),
             (PeerMessage::Snapshot(_), _) => not_joined("snapshot"),
@@ -395,6 +411,19 @@ impl ServerPeer {
                 Ok(())
             }
         }
+    }
+
+    /// Sends a message on the stream, and later as a copy.
+    fn push(
+        &mut self,
+        message: &ServerMessage,
+        has_copy: bool,
+        now: ServerTime,
+    ) -> Result<(), ProtocolError> {
+        let frame = codec::encode_frame(message)?;
+        self.copies.push(&frame[codec::PREFIX_BYTES..], has_copy);
+        self.copies.note(now - ServerTime::ZERO);
+        self.outbox.push_bytes(frame)
     }
 
     fn refuse(&mut self, refused: Refused) -> Result<(), ProtocolError> {

@@ -371,11 +371,14 @@ impl Room {
             .participants
             .values()
             .filter(|p| !p.demotion.is_demoted());
-        let own = playing.filter_map(Participant::explained_uplink);
-        match own.max_by_key(|r: &DelayReport| r.wanted_us) {
-            Some(worst) => self.group.handle_report(ParticipantId::SERVER, worst),
+        let uplinks: Vec<DelayReport> = playing.filter_map(Participant::explained_uplink).collect();
+        // A participant beyond the cap does not hide the others.
+        let within = uplinks.iter().filter(|r| self.group.can_bridge(r));
+        match within.max_by_key(|r| r.wanted_us) {
+            Some(worst) => self.group.handle_report(ParticipantId::SERVER, *worst),
             // The requirement ends with the last participant that caused it.
-            None => self.group.remove(ParticipantId::SERVER),
+            None if uplinks.is_empty() => self.group.remove(ParticipantId::SERVER),
+            None => {}
         }
         let at = now - ServerTime::ZERO;
         if !self.log.takes_delay() || !self.delay_changes.has(1.0, at) {

@@ -181,7 +181,7 @@ impl CutHistory {
     ) -> Result<CutOutcome, CutError> {
         let path = part.with_overlap(&self.done, topology.model().spacing_m);
         let begins = !part.joins && !self.done.iter().rev().any(|p| p.is_of_stroke(&part));
-        let before = begins.then(|| (self.done.len(), Arc::clone(topology)));
+        let before = begins.then(|| (self.done.len(), Arc::new(topology.to_keep())));
         // A copy is made only for a stroke that parts something.
         let plan = Plan::of(topology, &path)?;
         let outcome = plan.apply(Arc::make_mut(topology), &path);

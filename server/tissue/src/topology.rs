@@ -254,6 +254,14 @@ impl Topology {
         })
     }
 
+    /// A copy to keep, without the flat copy of the surface.
+    pub(crate) fn to_keep(&self) -> Self {
+        Self {
+            boundary: OnceLock::new(),
+            ..self.clone()
+        }
+    }
+
     /// The outer surface, for a change.
     pub(crate) fn exposed_mut(&mut self) -> &mut Exposed {
         self.boundary = OnceLock::new();

@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
+use nalgebra::UnitQuaternion;
 use palpate_tissue::{
     Budget, Form, Material, Needle, Reaction, RegionId, Tissue, Tool, Topology, Vec3, block,
 };
@@ -251,6 +252,58 @@ fn layer_of_tough_skin_gives_a_peak() {
     let end = forces[forces.len() - 1];
     assert!((0.85..1.25).contains(&(peak / (4.0 * CUTTING_N))), "{peak}");
     assert!(end < 0.6 * peak, "{end}");
+}
+
+/// Without cutting and friction nothing is lost that could hide a gain.
+#[test]
+fn needle_that_shifts_between_two_depths_gives_no_energy() {
+    let smooth = Material {
+        toughness_j_m2: 0.0,
+        friction_static: 0.0,
+        friction_dynamic: 0.0,
+        ..material()
+    };
+    let mut bench = Bench::of(Topology::new(Arc::new(block(CELLS, D, &smooth, 1))));
+    bench.go(over(0.0, -20.0 * MM), |_, _| ());
+    bench.go(over(0.0, -18.0 * MM), |_, _| ());
+    bench.work_j = 0.0;
+    for cycle in 0..10 {
+        bench.go(over(0.0, -5.0 * MM), |_, _| ());
+        bench.go(over(2.0 * MM, -5.0 * MM), |_, _| ());
+        bench.go(over(2.0 * MM, -18.0 * MM), |_, _| ());
+        bench.go(over(0.0, -18.0 * MM), |_, _| ());
+        assert!(bench.work_j >= -1e-6, "{cycle}: {}", bench.work_j);
+    }
+}
+
+#[test]
+fn tip_returns_in_its_channel_without_force_and_cuts_beside_it() {
+    for (degrees, cuts) in [(0.0_f64, false), (25.0, true)] {
+        let mut bench = Bench::new();
+        bench.go(over(0.0, -20.0 * MM), |_, _| ());
+        bench.go(over(0.0, -5.0 * MM), |_, _| ());
+        let mut greatest_n = 0.0_f64;
+        let turned = |degrees: f64, way: f64| {
+            let turn = UnitQuaternion::from_axis_angle(&Vec3::y_axis(), degrees.to_radians());
+            Tool {
+                turn,
+                ..needle(over(0.0, -5.0 * MM) - turn * Vec3::z() * way)
+            }
+        };
+        for k in 1..=25 {
+            bench.step(&turned(degrees * f64::from(k) / 25.0, 0.0));
+        }
+        for k in 1..=40 {
+            let shaft = bench.step(&turned(degrees, 0.25 * MM * f64::from(k))).shaft;
+            let shaft = shaft.expect("it stays in");
+            greatest_n = greatest_n.max(shaft.axial_n - shaft.friction_n);
+        }
+        assert_eq!(
+            greatest_n > 0.9 * CUTTING_N,
+            cuts,
+            "{degrees}: {greatest_n}"
+        );
+    }
 }
 
 proptest! {

@@ -72,6 +72,8 @@ fn undo_of_all_cuts_returns_their_memory() {
     for k in 0..200 {
         if let Ok(cut) = preparer.prepare(&stroke(k)) {
             drop(tissue.succeed(cut));
+            // As views do.
+            assert!(preparer.topology().boundary().is_closed());
             cuts += 1;
         }
     }

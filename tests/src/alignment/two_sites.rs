@@ -215,6 +215,7 @@ impl TwoSites {
 
     fn decide(&mut self, now: i64) {
         let own = self.measured.iter().filter_map(Controller::report);
+        let own = own.filter(|r| self.group.can_bridge(r));
         if let Some(worst) = own.max_by_key(|r| r.wanted_us) {
             self.group.handle_report(ParticipantId::SERVER, worst);
         }

@@ -166,16 +166,13 @@ fn trainee_with_500_ms_delay_is_demoted_then_restored() {
         r.counters[1].resyncs, 0,
         "a slow network must not cause a resync"
     );
-    // The playout delay D shrinks by at most 20 ms per second.
+    // A network beyond the cap does not raise the playout delay D of the others.
     let lifted_s = lifted_us as f64 * 1e-6;
     let (then, later) = (
         delay_ms_at(&r.recordings[0], lifted_s),
         delay_ms_at(&r.recordings[0], lifted_s + 5.0),
     );
-    assert!(
-        then > 350.0 && later < then - 80.0,
-        "{then} ms, then {later}"
-    );
+    assert!(then < 60.0 && later <= then, "{then} ms, then {later}");
 }
 
 #[test]

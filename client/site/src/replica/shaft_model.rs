@@ -19,6 +19,8 @@ pub(super) fn hold_shaft(model: &mut ContactModel, reaction: &Reaction, shaft: &
     model.x0 = reaction.at;
     model.turn0 = reaction.turn;
     model.radius = MODEL_RADIUS_M;
+    // The contact points carry the whole torque.
+    model.couple = Vec3::zeros();
     let touch = |lever: Vec3, normal: Vec3, newtons: f64, share: f64, pull_n: f64| {
         let along = share * normal.dot(&(reaction.stiffness * normal)).max(0.0);
         Touch {
@@ -63,6 +65,7 @@ mod tests {
 
     use super::*;
     use crate::replica::Replica;
+    use crate::replica::contact_model::contact_model;
     use crate::test_support::{caps, soft_block};
     use crate::tools::ToolAt;
     use crate::{VIEW_ITERATIONS, VIEW_TOLERANCE};
@@ -88,10 +91,13 @@ mod tests {
             let across = forces.map(|f| f - axis * f.dot(&axis));
             let stations = [(levers[1], across[0]), (levers[2], across[1])];
             let shaft = ShaftReaction { tip: levers[0], axis, axial_n, friction_n: 0.5, stations };
+            let force = axis * axial_n + across[0] + across[1];
+            let torque = shaft.tip.cross(&(axis * axial_n))
+                + stations.iter().map(|(lever, f)| lever.cross(f)).sum::<Vec3>();
             let reaction = Reaction {
                 tool: 2,
-                force: Vec3::zeros(),
-                torque: Vec3::zeros(),
+                force,
+                torque,
                 stiffness: Matrix3::from_diagonal_element(300.0),
                 normal: axis,
                 contacts: 3,
@@ -104,13 +110,10 @@ mod tests {
                 shaft: Some(shaft),
                 is_inserted: true,
             };
-            let mut model = ContactModel::FREE;
+            let mut model = contact_model(ClientTime::ZERO, 1, &[&reaction]);
             hold_shaft(&mut model, &reaction, &shaft);
             prop_assert!(model.is_usable());
-            let force = axis * axial_n + across[0] + across[1];
             prop_assert!((model.force() - force).norm() < 1e-9);
-            let torque = shaft.tip.cross(&(axis * axial_n))
-                + stations.iter().map(|(lever, f)| lever.cross(f)).sum::<Vec3>();
             prop_assert!((model.torque() - torque).norm() < 1e-9);
             prop_assert!(model.touching().map(|t| t.damping).sum::<f64>() <= DAMPING_MAX_NS_PER_M + 1e-9);
         }

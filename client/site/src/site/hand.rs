@@ -5,6 +5,7 @@
 //! renewed without a solve.
 
 use palpate_haptics::ContactModel;
+use palpate_protocol::tool::INSERTED_BUTTON;
 use palpate_protocol::{ClientTime, Span};
 use palpate_tissue::Budget;
 
@@ -106,6 +107,10 @@ impl Site {
         }
         let mut model = self.replica.haptic_step(now, own.as_ref(), &others, budget);
         model.force_limit_n = self.session.force_limit_n;
+        // A frozen or muted needle stays where it was.
+        if own.is_none() {
+            model.is_inserted = buttons & INSERTED_BUTTON != 0;
+        }
         self.counters.haptic_solves += 1;
         self.last_solve = Some(LastSolve {
             at: now,

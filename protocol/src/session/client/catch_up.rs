@@ -2,12 +2,9 @@
 
 use super::incoming_snapshot::{IncomingSnapshot, Progress};
 use super::{ClientSession, DELAY_REPORT_PERIOD, Joined, State};
-use crate::codec;
 use crate::handshake::{ROSTER_MAX, Welcome};
 use crate::operation::{Operation, OperationKind};
-use crate::request::ServerMessage;
 use crate::session::ClientEvent;
-use crate::session::copies::IncomingCopies;
 use crate::{ClientTime, ProtocolError};
 
 impl ClientSession {
@@ -41,7 +38,6 @@ impl ClientSession {
         self.state = State::Joined(Box::new(Joined {
             participant: welcome.participant,
             next_operation: first,
-            copies: IncomingCopies::after(first.0.checked_sub(1)),
             catch_up: Some(welcome.operations_so_far),
             snapshot,
             schedule,
@@ -86,44 +82,7 @@ impl ClientSession {
         Ok(())
     }
 
-    /// An operation from the stream.
-    pub(super) fn handle_streamed(&mut self, operation: Operation) -> Result<(), ProtocolError> {
-        let State::Joined(joined) = &mut self.state else {
-            return Ok(());
-        };
-        if !joined.copies.is_new(operation.id.0) {
-            return Ok(());
-        }
-        self.handle_operation(operation)?;
-        self.handle_early()
-    }
-
-    /// A copy of a message of the stream.
-    pub(super) fn handle_copy(&mut self, message: &[u8]) -> Result<(), ProtocolError> {
-        let ServerMessage::Operation(operation) = codec::decode_body(message)? else {
-            return Err(ProtocolError::OutOfOrder {
-                what: "copy of a message",
-                state: "only operations have copies",
-            });
-        };
-        if let State::Joined(joined) = &mut self.state {
-            joined.copies.push(operation.id.0, operation);
-        }
-        self.handle_early()
-    }
-
-    /// The copies without a gap before them. None goes before the log of the welcome.
-    fn handle_early(&mut self) -> Result<(), ProtocolError> {
-        while let State::Joined(joined) = &mut self.state
-            && joined.catch_up.is_none()
-            && let Some(operation) = joined.copies.pop()
-        {
-            self.handle_operation(operation)?;
-        }
-        Ok(())
-    }
-
-    fn handle_operation(&mut self, operation: Operation) -> Result<(), ProtocolError> {
+    pub(super) fn handle_operation(&mut self, operation: Operation) -> Result<(), ProtocolError> {
         let State::Joined(joined) = &mut self.state else {
             return Ok(());
         };

@@ -58,8 +58,8 @@ impl ClientSession {
             .clock
             .map()
             .map_or(ServerTime::ZERO, |map| map.to_server(now));
-        while let Some(message) = self.copies.poll(now - ClientTime::ZERO) {
-            self.link.enqueue(Body::Copy(message), since);
+        while let Some(copy) = self.copies.poll(now - ClientTime::ZERO) {
+            self.link.enqueue_copy(copy, since);
         }
     }
 

@@ -1,38 +1,11 @@
-//! Requests of a client: their order, their limits and their rate.
+//! Requests of a client: their limits and their rate.
 
 use super::{REQUESTS_PER_SECOND_MAX, ServerPeer};
-use crate::codec;
-use crate::request::{
-    ClientMessage, Request, RequestKind, RequestRefusal, RequestRefused, ServerMessage,
-};
+use crate::request::{Request, RequestKind, RequestRefusal, RequestRefused, ServerMessage};
 use crate::session::{CloseReason, PeerEvent};
 use crate::{ProtocolError, ServerTime};
 
 impl ServerPeer {
-    /// A copy of a message of the stream.
-    pub(super) fn handle_copy(
-        &mut self,
-        message: &[u8],
-        now: ServerTime,
-    ) -> Result<(), ProtocolError> {
-        let ClientMessage::Request(request) = codec::decode_body(message)? else {
-            return Err(ProtocolError::OutOfOrder {
-                what: "copy of a message",
-                state: "only requests have copies",
-            });
-        };
-        self.requests.push(request.id.0.into(), request);
-        self.handle_early(now)
-    }
-
-    /// The copies without a gap before them.
-    pub(super) fn handle_early(&mut self, now: ServerTime) -> Result<(), ProtocolError> {
-        while let Some(request) = self.requests.pop() {
-            self.handle_request(request, now)?;
-        }
-        Ok(())
-    }
-
     pub(super) fn handle_request(
         &mut self,
         request: Request,
@@ -61,7 +34,7 @@ impl ServerPeer {
                 id: request.id,
                 reason: RequestRefusal::TooMany,
             };
-            return self.outbox.push(&ServerMessage::RequestRefused(refused));
+            return self.push(&ServerMessage::RequestRefused(refused), true, now);
         }
         Err(ProtocolError::RequestFlood {
             accepted: REQUESTS_PER_SECOND_MAX,

@@ -13,6 +13,11 @@
 //! The last two are ties of stiffness κ that yield: beyond its limit, the place on the shaft where a tie holds without
 //! force moves at the end of a step (the return mapping of perfect plasticity). All ties are convex energies of the
 //! tissue in a step, and no closed path of the needle gains energy.
+//!
+//! A point near the tip is tied across by the part c of its pitch that the shaft covers, with the stiffness c κ. Where a
+//! tip advances and c grows to c', the new part is tied without force: the point moves towards the axis, to c / c' of
+//! its distance. The force stays, and the energy of the tie falls to c / c' of its value. A tip that returns needs no
+//! force in its former channel; farther from it than the radius of the needle, it cuts a new one.
 
 use std::f64::consts::PI;
 
@@ -35,7 +40,7 @@ const POINTS_MAX: f64 = 256.0;
 /// How far outside a cell a point may be by rounding, in cells.
 const ROUNDING: f64 = 1e-9;
 /// Most cells that a search passes: a straight line through a large model.
-const WALK_MAX: usize = 256;
+const WALK_MAX: usize = 64;
 /// Trial steps along the axis in search of the surface, per pitch.
 const TRIALS_PER_PITCH: f64 = 4.0;
 
@@ -46,6 +51,7 @@ pub(super) struct Rod {
     /// From the tip up the shaft.
     pub(super) axis: Vec3,
     pub(super) radius_m: f64,
+    pub(super) length_m: f64,
     /// Distance between the points of its channel.
     pub(super) pitch_m: f64,
 }
@@ -53,12 +59,13 @@ pub(super) struct Rod {
 impl Rod {
     /// The needle with this core, of this radius; `None` for a core that is no line.
     pub(super) fn of(core: &Core, radius_m: f64, spacing_m: f64) -> Option<Self> {
-        let length = 2.0 * core.a.norm();
+        let length_m = 2.0 * core.a.norm();
         Some(Self {
             tip: core.mid - core.a,
             axis: core.a.try_normalize(1e-9)?,
             radius_m,
-            pitch_m: spacing_m.max(length / POINTS_MAX),
+            length_m,
+            pitch_m: spacing_m.max(length_m / POINTS_MAX),
         })
     }
 
@@ -68,6 +75,11 @@ impl Rod {
 
     fn along(&self, x: &Vec3) -> f64 {
         self.axis.dot(&(x - self.tip))
+    }
+
+    /// From the axis to a point, across the shaft.
+    fn across(&self, x: &Vec3) -> Vec3 {
+        x - self.at(self.along(x))
     }
 
     /// The force that a tip needs to advance in a material, N.
@@ -96,7 +108,7 @@ impl Around<'_> {
 
     /// The point at this place, searched from a cell on through the uncut tissue; `None` outside and in a wound.
     fn locate(&self, world: &Vec3, from: u32) -> Option<Point> {
-        let mut cell = from;
+        let (mut cell, mut previous) = (from, NO_CELL);
         for _ in 0..WALK_MAX {
             let nodes = self.topology.corners(cell);
             let deformed = nodes.map(|n| self.topology.rest(n) + self.u[n as usize]);
@@ -108,11 +120,16 @@ impl Around<'_> {
             let mut axes = [0, 1, 2];
             axes.sort_by(|&a, &b| out[b].total_cmp(&out[a]));
             let neighbours = self.topology.model().cells[cell as usize].neighbours;
-            cell = axes
+            let next = axes
                 .into_iter()
                 .filter(|&a| out[a] > ROUNDING)
                 .map(|a| neighbours[2 * a + usize::from(local[a] > 0.5)])
                 .find(|&next| next != NO_CELL)?;
+            if next == previous {
+                // Between the two sides of a wound.
+                return None;
+            }
+            (previous, cell) = (cell, next);
         }
         None
     }
@@ -139,6 +156,8 @@ struct Anchor {
     home_m: f64,
     /// Stiffness of its ties, N/m.
     stiffness: f64,
+    /// Part of the stiffness that ties it across.
+    covered: f64,
     /// Limit of the force along the shaft, N.
     limit_n: f64,
     /// Whether the tissue slides along the shaft here.
@@ -151,9 +170,31 @@ impl Anchor {
             at,
             home_m,
             stiffness: 0.0,
+            covered: 0.0,
             limit_n: 0.0,
             slides: false,
         }
+    }
+
+    /// A point on the axis, without a force in this pose.
+    fn on_axis(at: Point, along_m: f64, rod: &Rod) -> Self {
+        Self {
+            covered: covered(along_m, rod),
+            ..Self::new(at, along_m)
+        }
+    }
+
+    /// Ties this part of it across: a new part without force. Where no tissue is, nothing new is tied.
+    fn cover(&mut self, around: &Around<'_>, rod: &Rod, covered: f64) {
+        if covered > self.covered {
+            let x = around.position(&self.at);
+            let moved = x - rod.across(&x) * (1.0 - self.covered / covered);
+            let Some(at) = around.locate(&moved, self.at.cell) else {
+                return;
+            };
+            self.at = at;
+        }
+        self.covered = covered;
     }
 }
 
@@ -186,7 +227,9 @@ impl Channel {
         let mut trials = (0..trials).map(|i| -(i as f64) * step);
         let (low, first) = trials.find_map(|z| Some((z, around.locate(&rod.at(z), from)?)))?;
         let (mut top, mut cell) = (low, first.cell);
-        while let Some(found) = around.locate(&rod.at(top + step), cell) {
+        while top + step <= rod.length_m
+            && let Some(found) = around.locate(&rod.at(top + step), cell)
+        {
             cell = found.cell;
             top += step;
         }
@@ -195,12 +238,16 @@ impl Channel {
             tip: None,
         };
         let mut z = top - 0.5 * pitch;
-        while z >= -0.5 * pitch || channel.anchors.is_empty() {
-            // A flap may be thinner than half a pitch.
-            let at = around.locate(&rod.at(z), cell).unwrap_or(first);
-            channel.anchors.push(Anchor::new(at, z));
-            cell = at.cell;
+        while z >= -0.5 * pitch {
+            if let Some(at) = around.locate(&rod.at(z), cell) {
+                channel.anchors.push(Anchor::on_axis(at, z, rod));
+                cell = at.cell;
+            }
             z -= pitch;
+        }
+        if channel.anchors.is_empty() {
+            // A flap may be thinner than half a pitch.
+            channel.anchors.push(Anchor::on_axis(first, low, rod));
         }
         let limit_n = rod.cutting_n(around.material(first.cell));
         let stiffness = stiffness_at(around, &first);
@@ -225,6 +272,7 @@ impl Channel {
         };
         let free = [f64::NEG_INFINITY, f64::INFINITY];
         let place = |anchor: &Anchor| rod.along(&around.position(&anchor.at));
+        self.leave_old_channel(around, rod);
         let places: Vec<f64> = self.anchors.iter().map(place).collect();
         for (i, anchor) in self.anchors.iter_mut().enumerate() {
             let along_m = places[i];
@@ -235,16 +283,15 @@ impl Channel {
             let above = halfway(i.checked_sub(1).map(|i| &places[i]), 0.5 * rod.pitch_m);
             let below = halfway(places.get(i + 1), -0.5 * rod.pitch_m);
             let length_m = (above - below.max(0.0)).max(0.0);
-            let covered = (length_m / rod.pitch_m).min(1.0);
+            anchor.cover(around, rod, covered(along_m, rod));
             let [at_rest, sliding] = around.material(anchor.at.cell).needle_traction_pa();
             let traction = if anchor.slides { sliding } else { at_rest };
             anchor.stiffness = stiffness_at(around, &anchor.at);
             anchor.limit_n = traction * 2.0 * PI * rod.radius_m * length_m;
-            if covered == 0.0 {
+            if length_m == 0.0 {
                 (anchor.home_m, anchor.slides) = (along_m, false);
-                continue;
             }
-            let [a, b] = across.map(|n| tie(n, 0.0, covered * anchor.stiffness, free));
+            let [a, b] = across.map(|n| tie(n, 0.0, anchor.covered * anchor.stiffness, free));
             let limits = [-anchor.limit_n, anchor.limit_n];
             let c = tie(rod.axis, anchor.home_m, anchor.stiffness, limits);
             to.push(held(around, anchor, proxy, [a, b, c]));
@@ -255,9 +302,24 @@ impl Channel {
             let c = tie(rod.axis, tip.home_m, tip.stiffness, [-tip.limit_n, 0.0]);
             // A point that presses does not slide.
             let is_pressed = rod.along(&around.position(&tip.at)) > tip.home_m;
-            let stiffness = if is_pressed { tip.stiffness } else { 0.0 };
-            let [a, b] = across.map(|n| tie(n, 0.0, stiffness, free));
+            tip.cover(around, rod, if is_pressed { 1.0 } else { 0.0 });
+            let [a, b] = across.map(|n| tie(n, 0.0, tip.covered * tip.stiffness, free));
             to.push(held(around, tip, proxy, [a, b, c]));
+        }
+    }
+
+    /// A tip that returns beside its former channel cuts a new one.
+    fn leave_old_channel(&mut self, around: &Around<'_>, rod: &Rod) {
+        let is_left = |anchor: &Anchor| {
+            let x = around.position(&anchor.at);
+            let is_reached = anchor.covered == 0.0 && covered(rod.along(&x), rod) > 0.0;
+            is_reached && rod.across(&x).norm() > rod.radius_m
+        };
+        let first = self.anchors.iter().skip(1).position(is_left);
+        if let Some(above) = first {
+            self.anchors.truncate(above + 1);
+            let at = around.locate(&rod.tip, self.anchors[above].at.cell);
+            self.tip = at.map(|at| Anchor::new(at, 0.0));
         }
     }
 
@@ -302,11 +364,17 @@ impl Channel {
                 if tip.stiffness * (along_m - tip.home_m) < tip.limit_n {
                     return;
                 }
-                self.tip = around.locate(&rod.tip, tip.at.cell).map(|at| {
+                // Before it is in the tissue, a tip presses by its radius on a point that it slides on towards.
+                let ahead = Some((tip.at, along_m)).filter(|_| along_m < 0.0);
+                let reached = around.locate(&rod.tip, tip.at.cell).map(|at| (at, 0.0));
+                self.tip = reached.or(ahead).map(|(at, along_m)| {
                     let stiffness = stiffness_at(around, &at);
                     let held_n = tip.limit_n.min(rod.cutting_n(around.material(at.cell)));
                     change.is_unsettled |= tip.limit_n - held_n > CHANGED_N;
-                    Anchor::new(at, -held_n / stiffness)
+                    Anchor {
+                        covered: tip.covered,
+                        ..Anchor::new(at, along_m - held_n / stiffness)
+                    }
                 });
                 change.is_unsettled |= self.tip.is_none();
             }
@@ -322,7 +390,7 @@ impl Channel {
             let Some(at) = around.locate(&rod.at(next_m), cell) else {
                 break;
             };
-            self.anchors.push(Anchor::new(at, next_m));
+            self.anchors.push(Anchor::on_axis(at, next_m, rod));
             (last_m, cell) = (next_m, at.cell);
         }
     }
@@ -336,6 +404,11 @@ impl Channel {
     pub(super) fn friction_n(&self) -> f64 {
         self.anchors.iter().map(|a| a.limit_n).sum()
     }
+}
+
+/// Part of the pitch around a point at this distance from the tip that the shaft covers.
+fn covered(along_m: f64, rod: &Rod) -> f64 {
+    (along_m / rod.pitch_m + 0.5).clamp(0.0, 1.0)
 }
 
 fn stiffness_at(around: &Around<'_>, at: &Point) -> f64 {

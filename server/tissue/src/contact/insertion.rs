@@ -51,7 +51,7 @@ impl Proxy {
             let rod = self.rod(spacing);
             let foot = rod.and_then(|rod| surface.nearest(rod.tip, f64::MAX));
             if let Some((rod, foot)) = rod.zip(foot) {
-                let cell = around.topology.boundary().faces[foot.triangle as usize / 2].cell();
+                let cell = around.topology.exposed.faces[foot.triangle as usize / 2].cell();
                 self.insert(Channel::along(around, &rod, cell, pressed_n));
             }
         }
@@ -77,7 +77,7 @@ impl Proxy {
         if std::mem::replace(&mut self.insertion, Insertion::Out).is_in() {
             self.secant.clear();
             // Contact begins outside of the surface again.
-            (self.placed, self.touching) = (false, false);
+            (self.placed, self.touching, self.gap) = (false, false, 0.0);
         }
     }
 }
@@ -91,7 +91,7 @@ impl Contacts {
             let (depth, n) = self.penetration(sample, u);
             if depth > 0.0 && proxy.core.nearest(&sample.position(u))[0] <= -1.0 {
                 let contact = found.get_or_insert(TipContact {
-                    cell: topology.boundary().faces[sample.triangle as usize / 2].cell(),
+                    cell: topology.exposed.faces[sample.triangle as usize / 2].cell(),
                     pressed_n: 0.0,
                 });
                 contact.pressed_n -= sample.stiffness * depth * n.dot(&rod.axis);
@@ -202,4 +202,38 @@ struct TipContact {
     cell: u32,
     /// Force on the tip along the shaft, N.
     pressed_n: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::super::{Form, Needle, Tool};
+    use super::*;
+    use crate::{Material, block};
+
+    #[test]
+    fn inserted_needle_watches_no_more_after_a_long_way() {
+        const D: f64 = 0.004;
+        let model = block([8, 8, 8], D, &Material::default(), 1);
+        let topology = Topology::new(Arc::new(model));
+        let u = vec![Vec3::zeros(); topology.node_count()];
+        let own = vec![100.0; u.len()];
+        let mut contacts = Contacts::new(&topology);
+        for k in 0..500 {
+            let x = 4.1 * D + 1e-3 * f64::from(k % 2);
+            let tool = Tool {
+                form: Form::line(Vec3::zeros(), Vec3::z() * 0.06),
+                needle: Some(Needle {
+                    is_inserted: true,
+                    decides: false,
+                }),
+                ..Tool::ball(1, Vec3::new(x, 4.1 * D, 4.1 * D), 0.6e-3)
+            };
+            contacts.begin(&[tool]);
+            contacts.gather(&topology, &u, 0.0, &own);
+            assert!(contacts.proxies[0].insertion.is_in());
+            assert_eq!(contacts.proxies[0].gap, 0.0);
+        }
+    }
 }

@@ -159,7 +159,8 @@ impl Proxy {
         let (at, turn) = (self.at, self.turn);
         let touched = self.touching;
         self.go(surface);
-        if touched {
+        // The hold of the tissue needs no samples of the surface.
+        if touched && !self.insertion.is_in() {
             self.gap += (self.at - at).norm();
             if !self.target.is_ball() {
                 self.gap += self.arm() * self.turn.angle_to(&turn);

@@ -166,7 +166,7 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
-    /// What a stroke parts.
+    /// Faces that a stroke opens, and their nodes.
     pub(crate) fn of(topology: &Topology, stroke: &CutStroke) -> Result<Self, CutError> {
         let spacing = topology.model.spacing_m;
         stroke.check(spacing)?;

@@ -69,7 +69,7 @@ pub(crate) fn open(topology: &mut Topology, sheet: &[FaceId], doubled: &[(u32, u
     }
 }
 
-/// What a change of nodes changes around them.
+/// Cells and nodes around changed nodes.
 pub(crate) struct Around {
     /// Cells with a changed corner, sorted.
     pub(crate) cells: Vec<u32>,

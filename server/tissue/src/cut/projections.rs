@@ -36,10 +36,8 @@ const GROWTH: f64 = 1.05;
 /// Rounds in which nodes of unsound cells go back: those on interfaces by half in the first and as a whole in the second,
 /// then all.
 const ROUNDS: usize = 5;
-/// A violated constraint of a corner and of a spring is met with this much to spare, relative to the floor, so that fewer
-/// sweeps suffice and later cuts find room.
-const CORNER_MARGIN: f64 = 1.0;
-const SPRING_MARGIN: f64 = 0.1;
+/// A violated constraint is met with this much to spare, relative to the floor, so that few sweeps suffice.
+const MARGIN: f64 = 0.1;
 /// Factor of P along the normal of the swept surface.
 const NORMAL_SHARE: f64 = 0.05;
 /// A constraint is left alone if its nodes have less than this part of its gradient: moves would be long and of no use.
@@ -212,13 +210,13 @@ impl<'a> Projections<'a> {
                 let length = d.norm();
                 if length * length < floor.spring && length > 0.0 {
                     let g = d / length;
-                    let miss = floor.spring.sqrt() * (1.0 + SPRING_MARGIN) - length;
+                    let miss = floor.spring.sqrt() * (1.0 + MARGIN) - length;
                     let moves = [(a, -g), (b, g)].map(|(n, g)| (n, g, self.left_to(n, g, false)));
                     self.step(&moves, miss);
                 }
             }
         }
-        let wanted = floor.volume + CORNER_MARGIN * CORNER_FLOOR * self.patch.spacing.powi(3);
+        let wanted = floor.volume + MARGIN * CORNER_FLOOR * self.patch.spacing.powi(3);
         for corner in 0..8_usize {
             let x = self.patch.corners(c);
             let sign = |a: usize| if corner >> a & 1 == 0 { 1.0 } else { -1.0 };

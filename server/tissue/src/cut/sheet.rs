@@ -21,7 +21,8 @@ use super::{CutError, DRIFT_MAX};
 use crate::cell::{FACES, NO_CELL};
 use crate::{FaceId, RegionId, Topology, Vec3};
 
-/// Longest segment between centres of neighbours, in spacings.
+/// How far from the blade a cell may be whose segments are tested, in spacings: neighbours are at most two apart, and
+/// weighted centres half a spacing from the means.
 const SEGMENT_MAX: f64 = 2.5;
 /// A shift of all centres, in spacings, that only decides ties, which are frequent in cuts along the lattice of a
 /// block.
