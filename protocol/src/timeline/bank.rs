@@ -33,7 +33,7 @@ const HORIZONS: [Span; 6] = [
 ];
 
 /// Time constant of the forgetting, seconds. 1 to 6 s are within 1 %.
-const MEMORY_S: f64 = 1.0;
+const MEMORY_S: f64 = 2.0;
 
 /// Innovations before a horizon has weights of its own.
 const INNOVATIONS_MIN: u32 = 3;

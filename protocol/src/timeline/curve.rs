@@ -16,7 +16,7 @@ const JOINED_MAX: Span = Span::from_millis(250);
 const SPIN_MAX: f64 = 20.0;
 
 /// Time beyond the newest sample within which a filter's curve leaves the sample, whose noise it lacks.
-const LEAVES_S: f64 = 0.005;
+const LEAVES_S: f64 = 0.0075;
 
 #[derive(Debug, Clone)]
 pub(super) struct Curve {

@@ -4,12 +4,15 @@ use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{ServerTime, Span};
 use serde_json::{Value, json};
 
-use super::samples::{HISTORY_US, LEARNED_US, Sampled, angle_deg, distance, method_line, methods};
+use super::samples::{HISTORY_US, Sampled, angle_deg, distance, method_line, methods};
 use super::{Bench, Outcome, Table};
 use crate::chart::{BLACK, Chart, Line, Mark, Panel};
 
 const RATE_HZ: u32 = 1000;
 const GAP_MS: i64 = 50;
+
+/// Time of the samples before the gap, from which predictors learn their errors, µs.
+const LEARNED_US: i64 = 4_000_000;
 
 /// Drawn time before and after the gap, ms; a longer time would make the gap too narrow.
 const AROUND_MS: i64 = 20;

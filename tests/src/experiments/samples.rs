@@ -11,9 +11,6 @@ use crate::hand::Hand;
 /// Time span of the samples before a gap that a method may use, µs.
 pub(super) const HISTORY_US: i64 = 60_000;
 
-/// The same for extrapolation, from which predictors learn their errors: a time constant of their memory, µs.
-pub(super) const LEARNED_US: i64 = 1_000_000;
-
 /// Methods of a kind. The predictors interpolate as windowed Verlet does.
 pub(super) fn methods(interpolation: bool) -> impl Iterator<Item = Method> {
     let predicts = |method: &Method| matches!(method, Method::Kalman | Method::Chosen);
