@@ -46,6 +46,8 @@ const RECORDED_S: f64 = 120.0;
 /// Maximum evaluated length of a motion, µs.
 const LONGEST_US: i64 = 300_000_000;
 
+type NamedHand = (&'static str, Arc<dyn Hand>);
+
 #[derive(Debug, Clone, Copy)]
 struct Row {
     hand: &'static str,
@@ -179,14 +181,14 @@ impl Overall {
 }
 
 /// The given motion, or the built-in hands.
-fn hands(bench: &Bench<'_>) -> Result<Vec<(&'static str, Arc<dyn Hand>)>, String> {
+fn hands(bench: &Bench<'_>) -> Result<Vec<NamedHand>, String> {
     match &bench.inputs.motion {
         Some(_) => Ok(vec![("motion", bench.hand())]),
         None => built_in(bench.seed()),
     }
 }
 
-fn built_in(seed: u64) -> Result<Vec<(&'static str, Arc<dyn Hand>)>, String> {
+fn built_in(seed: u64) -> Result<Vec<NamedHand>, String> {
     let hand = Random::new(HandParameters::default(), seed);
     let recorded = |rate_hz, noise_m| -> Result<Arc<dyn Hand>, String> {
         Ok(Arc::new(
@@ -241,7 +243,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
 }
 
 /// The recordings that have finer rows.
-fn warning(hands: &[(&'static str, Arc<dyn Hand>)]) -> String {
+fn warning(hands: &[NamedHand]) -> String {
     let below = RATES_HZ[RATES_HZ.len() - 1];
     let coarse = (hands.iter()).filter_map(|(name, hand)| {
         let rate_hz = hand.rate_hz().filter(|rate| is_finer(below, *rate))?;
@@ -362,7 +364,9 @@ fn sums(
         let known = sampled.samples(known_us + period_us, began)?;
         known_us = began;
         for (m, (method, timeline)) in Method::ALL.into_iter().zip(&mut timelines).enumerate() {
-            known.iter().for_each(|sample| timeline.insert(*sample));
+            for sample in &known {
+                timeline.insert(*sample);
+            }
             for (truth, t) in truth.iter().zip(steps()) {
                 let at = ServerTime::from_micros(began + t);
                 let Some(pose) = timeline.uncorrected_pose(at) else {
