@@ -35,6 +35,7 @@ pub const GREY: &str = "#808080";
 pub const GREEN: &str = "#009e73";
 pub const PURPLE: &str = "#cc79a7";
 pub const SKY: &str = "#56b4e9";
+pub const AMBER: &str = "#e69f00";
 pub const BLACK: &str = "#000000";
 
 #[derive(Debug, Clone)]

@@ -2,7 +2,9 @@
 
 use std::collections::VecDeque;
 
-use crate::timeline::{Method, SAMPLES_MAX, Source, from_unit, unit};
+use super::bank::{Bank, CUTOFFS, Filters, PREDICTORS, Scores};
+use super::kalman::Components;
+use crate::timeline::{Method, SAMPLES_MAX, Source, distance, from_unit, unit};
 use crate::verlet::{self, FIT_S, Fit, Knot, Vec3, WINDOW_S};
 use crate::{Pose, ServerTime, Span, ToolSample};
 
@@ -13,11 +15,49 @@ const JOINED_MAX: Span = Span::from_millis(250);
 /// The fastest extrapolated rotation beyond the newest sample, rad/s.
 const SPIN_MAX: f64 = 20.0;
 
+/// Time beyond the newest sample within which a filter's curve leaves the sample, whose noise it lacks.
+const LEAVES_S: f64 = 0.0075;
+
 #[derive(Debug, Clone)]
 pub(super) struct Curve {
     method: Method,
     /// Ascending in time, no two of one moment.
     samples: VecDeque<ToolSample>,
+    /// The predictors and their errors, for the methods that weight them.
+    bank: Option<Box<Bank>>,
+}
+
+/// A pose as components, the quaternion with the sign nearer to `like`.
+fn components(pose: &Pose, like: Option<&Components>) -> Components {
+    let [x, y, z] = pose.position_m;
+    let [i, j, k, w] = from_unit(unit(pose.orientation));
+    let mut all = Components::from([x, y, z, i, j, k, w]);
+    if like.is_some_and(|like| all.rows(3, 4).dot(&like.rows(3, 4)) < 0.0) {
+        all.rows_mut(3, 4).neg_mut();
+    }
+    all
+}
+
+/// The weighted mean of poses and velocities. Rotations are near each other, so that the normalised mean of their
+/// quaternions serves.
+fn mean(predictions: &[(Pose, Vec3); PREDICTORS], weights: &Scores) -> (Pose, Vec3) {
+    let (mut place, mut velocity) = ([0.0; 3], [0.0; 3]);
+    let like = components(&predictions[0].0, None);
+    let mut turn = Components::zeros();
+    for ((pose, v), [place_share, turn_share]) in predictions.iter().zip(weights) {
+        place = verlet::map2(place, pose.position_m, |sum, x| sum + place_share * x);
+        velocity = verlet::map2(velocity, *v, |sum, v| sum + place_share * v);
+        turn += components(pose, Some(&like)) * *turn_share;
+    }
+    let orientation = from_unit(unit([turn[3], turn[4], turn[5], turn[6]]));
+    let position_m = place;
+    (
+        Pose {
+            position_m,
+            orientation,
+        },
+        velocity,
+    )
 }
 
 impl Curve {
@@ -25,6 +65,7 @@ impl Curve {
         Self {
             method,
             samples: VecDeque::new(),
+            bank: None,
         }
     }
 
@@ -34,8 +75,9 @@ impl Curve {
 
     /// Whether anything changed.
     pub(super) fn insert(&mut self, sample: ToolSample) -> bool {
-        let i = match self.samples.back() {
-            Some(last) if last.time >= sample.time => {
+        let newest = self.newest().map(|s| s.time);
+        let i = match newest {
+            Some(newest) if newest >= sample.time => {
                 self.samples.partition_point(|s| s.time < sample.time)
             }
             _ => self.samples.len(),
@@ -52,7 +94,39 @@ impl Curve {
         } else {
             self.samples.insert(i, sample);
         }
+        if newest.is_none_or(|newest| newest < sample.time) {
+            self.learn(newest, &sample);
+        }
         true
+    }
+
+    /// Updates filters and errors with a new newest sample. Late samples improve the curve only.
+    fn learn(&mut self, previous: Option<ServerTime>, sample: &ToolSample) {
+        let first = match self.method {
+            Method::Chosen => 0,
+            Method::Kalman => PREDICTORS - CUTOFFS.len(),
+            _ => return,
+        };
+        // Taken out, because the errors are those of this curve.
+        let (Some(mut bank), Some(previous)) = (self.bank.take(), previous) else {
+            self.bank = Some(Box::new(Bank::new(first, &components(&sample.pose, None))));
+            return;
+        };
+        let pose = components(&sample.pose, Some(&bank.filters[0].on(0.0).0));
+        let elapsed = sample.time - previous;
+        if elapsed > JOINED_MAX {
+            bank.restart(&pose);
+        } else {
+            bank.update(sample.time, elapsed, &pose, |began, filters| {
+                let i = self.samples.partition_point(|s| s.time < began);
+                self.predictions(i, filters, sample.time).map(|(p, _)| {
+                    let turn = unit(p.orientation).angle_to(&unit(sample.pose.orientation));
+                    let way = distance(p.position_m, sample.pose.position_m);
+                    [way * way, turn * turn]
+                })
+            });
+        }
+        self.bank = Some(bank);
     }
 
     /// Pose, velocity, the sample whose buttons hold, and the source of the pose.
@@ -194,7 +268,7 @@ impl Curve {
         let joined = s1.time - s0.time <= JOINED_MAX;
         let method = if joined { self.method } else { Method::Linear };
         let position_m = match method {
-            Method::Verlet | Method::VerletRaw => {
+            Method::Verlet | Method::VerletRaw | Method::Kalman | Method::Chosen => {
                 let raw = method == Method::VerletRaw;
                 let (before, after) = if raw {
                     let next = Some(i + 2).filter(|p| *p < self.samples.len());
@@ -239,13 +313,56 @@ impl Curve {
     }
 
     fn extrapolated(&self, i: usize, t: ServerTime) -> (Pose, Vec3) {
+        match &self.bank {
+            Some(bank) => {
+                let weights = bank.weights(t - self.samples[i].time);
+                mean(&self.predictions(i, &bank.filters, t), &weights)
+            }
+            None => self.extrapolated_by(self.method, i, t),
+        }
+    }
+
+    /// Pose and velocity at `t` by each predictor from the samples up to number `i` and the filters of its time.
+    fn predictions(
+        &self,
+        i: usize,
+        filters: &Filters,
+        t: ServerTime,
+    ) -> [(Pose, Vec3); PREDICTORS] {
+        const STATELESS: [Method; PREDICTORS - CUTOFFS.len()] =
+            [Method::Hold, Method::Linear, Method::Verlet];
         let newest = &self.samples[i];
-        let Some(m) = self.previous(i).filter(|_| self.method != Method::Hold) else {
+        let s = (t - newest.time).as_secs_f64();
+        let shown = components(&newest.pose, Some(&filters[0].on(0.0).0));
+        let left = (1.0 - s / LEAVES_S).max(0.0);
+        std::array::from_fn(|k| {
+            if let Some(method) = STATELESS.get(k) {
+                return self.extrapolated_by(*method, i, t);
+            }
+            let filter = &filters[k - STATELESS.len()];
+            let (ahead, velocity) = filter.on(s);
+            let all = ahead + (shown - filter.on(0.0).0) * left;
+            let [x, y, z, i, j, k, w] = all.into();
+            let orientation = from_unit(unit([i, j, k, w]));
+            let position_m = [x, y, z];
+            (
+                Pose {
+                    position_m,
+                    orientation,
+                },
+                velocity,
+            )
+        })
+    }
+
+    fn extrapolated_by(&self, method: Method, i: usize, t: ServerTime) -> (Pose, Vec3) {
+        let newest = &self.samples[i];
+        let Some(m) = self.previous(i).filter(|_| method != Method::Hold) else {
             return (newest.pose, [0.0; 3]);
         };
         let (km, k1) = (self.knot(m, newest.time), self.knot(i, newest.time));
         let s = (t - newest.time).as_secs_f64();
-        let (position_m, velocity) = self.extrapolate(i, (km, k1), s);
+        let (position_m, velocity) = self.extrapolate(method, i, (km, k1), s);
         let (qm, q1) = (
             unit(self.samples[m].pose.orientation),
             unit(newest.pose.orientation),
@@ -264,15 +381,23 @@ impl Curve {
     }
 
     /// Position and velocity `s` seconds beyond number `i`, the newest; `km` is one window before `k1`, its own knot.
-    fn extrapolate(&self, i: usize, (km, k1): (Knot, Knot), s: f64) -> (Vec3, Vec3) {
+    fn extrapolate(
+        &self,
+        method: Method,
+        i: usize,
+        (km, k1): (Knot, Knot),
+        s: f64,
+    ) -> (Vec3, Vec3) {
         let straight = (
             verlet::extrapolate(km, k1, [0.0; 3], s),
             verlet::velocity(km, k1),
         );
         let newest = self.samples[i].time;
-        match self.method {
+        match method {
             Method::Hold => (k1.x, [0.0; 3]),
-            Method::Verlet => self.fit_before(i, newest).map_or(straight, |f| f.on(s)),
+            Method::Verlet | Method::Kalman | Method::Chosen => {
+                self.fit_before(i, newest).map_or(straight, |f| f.on(s))
+            }
             Method::VerletRaw if i >= 2 => {
                 let (k0, km) = (self.knot(i - 2, newest), self.knot(i - 1, newest));
                 let a = verlet::acceleration(k0, km, k1);

@@ -9,10 +9,13 @@
 //!                         no correction moves the displayed tool by more than 1 mm at once
 //! ```
 //!
-//! Positions by the formulas of [`crate::verlet`]; rotations by slerp between samples and by the
-//! rotation vector of the last window beyond them.
+//! Between samples, positions by the formulas of [`crate::verlet`] and rotations by slerp. Beyond the newest
+//! sample, several predictors weighted by their errors so far ([`Method::Chosen`]), because the best depends
+//! on the noise of the device, the agility of the hand and the span.
 
+mod bank;
 mod curve;
+mod kalman;
 
 use nalgebra::{Quaternion, UnitQuaternion};
 
@@ -41,8 +44,13 @@ pub const SAMPLES_MAX: usize = 2048;
 /// The method for missing samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Method {
-    /// Verlet's rule with accelerations from a window of samples.
+    /// Beyond the newest sample the mean of hold, linear, windowed Verlet and four Kalman filters, weighted
+    /// by their measured errors over such a span in this stream. Windowed Verlet between samples.
     #[default]
+    Chosen,
+    /// The same of the Kalman filters alone.
+    Kalman,
+    /// Verlet's rule with accelerations from a window of samples.
     Verlet,
     /// Verlet's rule with the second difference from sample to sample, which multiplies their noise.
     VerletRaw,
@@ -58,12 +66,14 @@ pub enum Method {
 
 impl Method {
     /// All of them, the plainest first.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 7] = [
         Self::Hold,
         Self::Linear,
         Self::VerletRaw,
         Self::Verlet,
         Self::Hermite,
+        Self::Kalman,
+        Self::Chosen,
     ];
 
     /// Its name in tables.
@@ -74,6 +84,8 @@ impl Method {
             Self::VerletRaw => "verlet",
             Self::Verlet => "verlet-windowed",
             Self::Hermite => "hermite",
+            Self::Kalman => "kalman",
+            Self::Chosen => "chosen",
         }
     }
 }

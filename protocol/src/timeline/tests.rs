@@ -36,6 +36,142 @@ fn sample(t_us: i64) -> ToolSample {
     }
 }
 
+/// Errors of extrapolation at `ahead_us` (rms, mm and degrees) against the true hand, after each sample of a
+/// stream of 20 s whose poses and times are changed by `device`.
+fn streamed(
+    method: Method,
+    period_us: i64,
+    ahead_us: i64,
+    device: impl Fn(&mut ToolSample, &mut Pcg64) -> bool,
+) -> (f64, f64) {
+    let mut rng = Pcg64::seed_from_u64(7);
+    let mut timeline = Timeline::new(method, Span::from_millis(200));
+    let (mut sum, mut turned, mut n) = (0.0, 0.0, 0.0);
+    for k in 0..20_000_000 / period_us {
+        let mut measured = turning(k * period_us);
+        if device(&mut measured, &mut rng) {
+            timeline.insert(measured);
+        }
+        if k * period_us > 3_000_000 {
+            let t = k * period_us + ahead_us;
+            let (got, truth) = (timeline.uncorrected_pose(us(t)).unwrap(), turning(t).pose);
+            sum += distance(got.position_m, truth.position_m).powi(2);
+            turned += unit(got.orientation)
+                .angle_to(&unit(truth.orientation))
+                .powi(2);
+            n += 1.0;
+        }
+    }
+    (1e3 * (sum / n).sqrt(), (turned / n).sqrt().to_degrees())
+}
+
+/// The hand about a wrist 0.1 m away.
+fn turning(t_us: i64) -> ToolSample {
+    let at = sample(t_us);
+    let turn = nalgebra::Vector3::from(hand(t_us as f64 * 1e-6)) / 0.1;
+    let orientation = from_unit(UnitQuaternion::from_scaled_axis(turn));
+    ToolSample {
+        pose: Pose {
+            orientation,
+            ..at.pose
+        },
+        ..at
+    }
+}
+
+/// Noise of a tracker: uniform, with this deviation in m on each axis and 0.1 m of lever.
+fn noisy(sample: &mut ToolSample, deviation_m: f64, rng: &mut Pcg64) {
+    let mut noise =
+        || std::array::from_fn(|_| 12_f64.sqrt() * deviation_m * (rng.random::<f64>() - 0.5));
+    let (along, about): (Vec3, Vec3) = (noise(), noise());
+    sample.pose.position_m = map2(sample.pose.position_m, along, |x, n| x + n);
+    let turn = UnitQuaternion::from_scaled_axis(nalgebra::Vector3::from(about) / 0.1);
+    sample.pose.orientation = from_unit(turn * unit(sample.pose.orientation));
+}
+
+#[test]
+fn chosen_is_as_good_as_the_best_method_on_quiet_noisy_and_repeated_samples() {
+    type Device = fn(&mut ToolSample, &mut Pcg64) -> bool;
+    let quiet: Device = |_, _| true;
+    let tracker: Device = |sample, rng| {
+        noisy(sample, 3e-4, rng);
+        true
+    };
+    // A slow device in a loop of 1 kHz.
+    let repeated: Device = |sample, _| {
+        let time = sample.time;
+        let device_us = time.as_micros() / 10_000 * 10_000;
+        *sample = ToolSample {
+            time,
+            ..turning(device_us)
+        };
+        true
+    };
+    let lossy: Device = |sample, rng| {
+        noisy(sample, 1e-4, rng);
+        !rng.random_bool(0.2)
+    };
+    // Innovations do not show the age of repeated samples, so that a predictor with less lag is not noticed.
+    for (name, device, period_us, tolerance) in [
+        ("quiet", quiet, 1000, 1.05),
+        ("quiet", quiet, 33_333, 1.05),
+        ("tracker", tracker, 10_000, 1.05),
+        ("lossy", lossy, 4000, 1.05),
+        ("repeated", repeated, 1000, 1.15),
+    ] {
+        for ahead_us in [10_000, 20_000, 40_000] {
+            let of = |method| streamed(method, period_us, ahead_us, device);
+            let chosen = of(Method::Chosen);
+            let others = [Method::Hold, Method::Linear, Method::Verlet, Method::Kalman].map(of);
+            let best =
+                |part: fn(&(f64, f64)) -> f64| others.iter().map(part).fold(f64::MAX, f64::min);
+            let best = (best(|e| e.0), best(|e| e.1));
+            println!("{name} {period_us} {ahead_us}: {chosen:.3?} {others:.3?}");
+            assert!(
+                chosen.0 < tolerance * best.0 && chosen.1 < tolerance * best.1,
+                "{name} {ahead_us}"
+            );
+            if name == "tracker" {
+                let (linear, verlet) = (others[1], others[2]);
+                assert!(chosen.0 < 0.7 * linear.0.min(verlet.0), "{ahead_us}");
+                assert!(chosen.1 < 0.7 * linear.1.min(verlet.1), "{ahead_us}");
+            }
+        }
+    }
+}
+
+#[test]
+fn jumps_and_pauses_leave_extrapolation_finite_and_bounded() {
+    for method in [Method::Chosen, Method::Kalman] {
+        let mut rng = Pcg64::seed_from_u64(3);
+        let mut timeline = Timeline::new(method, GAP_LIMIT);
+        let mut t = 0;
+        for k in 0..20_000 {
+            t += if rng.random_bool(0.01) {
+                rng.random_range(1..2_000_000)
+            } else {
+                rng.random_range(1000..5000)
+            };
+            let mut jumping = sample(t);
+            if k % 5 == 0 {
+                noisy(&mut jumping, 1e-3, &mut rng);
+            }
+            timeline.insert(jumping);
+            let at =
+                |timeline: &Timeline, ahead: i64| timeline.uncorrected_pose(us(t + ahead)).unwrap();
+            let step = distance(at(&timeline, 1).position_m, jumping.pose.position_m);
+            assert!(step < 1e-4, "{method:?}: {step} m at once");
+            for ahead in [2500, 20_000, 50_000] {
+                let pose = at(&timeline, ahead);
+                let far = distance(pose.position_m, jumping.pose.position_m);
+                assert!(far < 0.5, "{method:?}: {far} m in {ahead} µs");
+                let norm = pose.orientation.iter().map(|q| q * q).sum::<f64>();
+                assert!((norm - 1.0).abs() < 1e-9);
+            }
+        }
+    }
+}
+
 /// Root mean square and largest error in mm over the gaps of a stream: `known_us` of samples every
 /// `period_us`, then a gap of `gap_us`, again and again.
 fn errors(method: Method, period_us: i64, gap_us: i64, both_sides: bool) -> (f64, f64) {
@@ -141,7 +277,13 @@ fn tool_is_held_fades_and_is_stale_beyond_the_gap_limit() {
 }
 
 /// The methods for sessions: methods of sample-to-sample differences jump by construction.
-const STEADY: [Method; 3] = [Method::Linear, Method::Verlet, Method::Hermite];
+const STEADY: [Method; 5] = [
+    Method::Linear,
+    Method::Verlet,
+    Method::Hermite,
+    Method::Kalman,
+    Method::Chosen,
+];
 
 #[test]
 fn steady_methods_extrapolate_continuously() {

@@ -31,8 +31,9 @@ An experiment file (its paths are relative to the file):
   motion = \"hand.csv\"
 
 --json prints one JSON object; --out writes it to NAME.json, and charts (SVG), pictures (PNG) and tables (CSV):
-  table-7-1     {experiment, seed, speed_rms_mm_s, rows [{kind: interpolation|extrapolation, method, rate_hz, gap_ms,
-                rms_mm, max_mm, rms_deg, force_percent, n}]}
+  table-7-1     {experiment, seed, hands [{hand, rate_hz of a recording, speed_rms_mm_s}], rows [{hand, kind:
+                interpolation|extrapolation, method, rate_hz, finer than the recording, gap_ms, rms_mm, max_mm, rms_deg,
+                force_percent, n}]}
   missing-data  {experiment, rate_hz, gap_ms, methods [{kind, method, rms_mm, max_mm, rms_deg}]}
   atc-*         {mode, profile, seed, disagreement_mm {rms, p95, max}, compensation_ms {mean, p95},
                 smallest_safe_fixed_ms, corrections_over_1mm, stale_ticks}; atc-predicted also ahead_ms and, beside it,

@@ -4,12 +4,15 @@ use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{ServerTime, Span};
 use serde_json::{Value, json};
 
-use super::samples::{HISTORY_US, Sampled, angle_deg, distance, method_line};
+use super::samples::{HISTORY_US, Sampled, angle_deg, distance, method_line, methods};
 use super::{Bench, Outcome, Table};
 use crate::chart::{BLACK, Chart, Line, Mark, Panel};
 
 const RATE_HZ: u32 = 1000;
 const GAP_MS: i64 = 50;
+
+/// Time of the samples before the gap, from which predictors learn their errors, µs.
+const LEARNED_US: i64 = 4_000_000;
 
 /// Drawn time before and after the gap, ms; a longer time would make the gap too narrow.
 const AROUND_MS: i64 = 20;
@@ -40,7 +43,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     ] {
         let mut position_lines = vec![Line::new("the hand", BLACK, true_motion.clone())];
         let (mut errors, mut turns) = (Vec::new(), Vec::new());
-        for method in Method::ALL {
+        for method in methods(kind == "interpolation") {
             let points = reconstruct(&sampled, method, began, kind == "interpolation")?;
             let row = |p: &Point| {
                 let figures = [
@@ -75,11 +78,9 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             if method != Method::Hold && (method != Method::VerletRaw || worst < 1.0) {
                 errors.push(of(&|p| p.error_mm));
             }
-            // Orientation errors are equal for all methods except hold.
-            if method == Method::Linear {
-                let mut line = of(&|p| p.turn_error_deg);
-                "all but hold".clone_into(&mut line.name);
-                turns.push(line);
+            // Orientation errors of the other methods are those of linear.
+            if matches!(method, Method::Linear | Method::Kalman | Method::Chosen) {
+                turns.push(of(&|p| p.turn_error_deg));
             }
         }
         for (what, y_label, lines) in [
@@ -114,7 +115,7 @@ fn reconstruct(
     let ended = began + GAP_MS * 1000;
     let (from, until) = (began - AROUND_MS * 1000, ended + AROUND_MS * 1000);
     let mut timeline = Timeline::new(method, Span::from_millis(GAP_MS));
-    sampled.fill(&mut timeline, from - HISTORY_US, began)?;
+    sampled.fill(&mut timeline, (from - LEARNED_US).max(0), began)?;
     if is_closed {
         sampled.fill(&mut timeline, ended, until + HISTORY_US)?;
     }

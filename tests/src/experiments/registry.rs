@@ -78,7 +78,7 @@ pub const ALL: &[Experiment] = experiments! {
         "a spectator without tissue solver: error of the shown shape and bandwidth";
     "scale", 45.0, [Model, Seed, Profile], Work::Experiment(scale::run),
         "server load of 1 to 64 participants, a quarter of them in contact";
-    "table-7-1", 3.5, [Seed, Motion], Work::Experiment(table_7_1::run),
+    "table-7-1", 15.0, [Seed, Motion], Work::Experiment(table_7_1::run),
         "error of reconstructed samples against the true hand motion (table 7.1)";
     "missing-data", 0.1, [Seed, Motion], Work::Experiment(missing_data::run),
         "one gap in a hand's motion, reconstructed by each method (fig 6.9)";

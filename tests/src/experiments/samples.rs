@@ -5,11 +5,19 @@ use palpate_protocol::datagram::as_sent;
 use palpate_protocol::timeline::{Method, Timeline};
 use palpate_protocol::{Pose, ServerTime, ToolSample};
 
-use crate::chart::{BLUE, GREEN, GREY, Line, ORANGE, PURPLE};
+use crate::chart::{AMBER, BLUE, GREEN, GREY, Line, ORANGE, PURPLE, SKY};
 use crate::hand::Hand;
 
 /// Time span of the samples before a gap that a method may use, µs.
 pub(super) const HISTORY_US: i64 = 60_000;
+
+/// Methods of a kind. The predictors interpolate as windowed Verlet does.
+pub(super) fn methods(interpolation: bool) -> impl Iterator<Item = Method> {
+    let predicts = |method: &Method| matches!(method, Method::Kalman | Method::Chosen);
+    Method::ALL
+        .into_iter()
+        .filter(move |method| !(interpolation && predicts(method)))
+}
 
 pub(super) struct Sampled<'a> {
     hand: &'a dyn Hand,
@@ -47,30 +55,37 @@ impl<'a> Sampled<'a> {
         self.hand.at(t_us as f64 * 1e-6)
     }
 
-    /// Inserts the samples of a closed time interval into a timeline, quantised as on the wire. A pose
-    /// outside the valid range is an error.
-    pub(super) fn fill(
-        &self,
-        timeline: &mut Timeline,
-        from_us: i64,
-        until_us: i64,
-    ) -> Result<(), String> {
+    /// The samples of a closed time interval, quantised as on the wire. A pose outside the valid range is an
+    /// error.
+    pub(super) fn samples(&self, from_us: i64, until_us: i64) -> Result<Vec<ToolSample>, String> {
         // Counted back from the end, so the last sample is at `until_us` exactly.
         let n = (until_us - from_us) / self.period_us;
-        for k in (0..=n).rev() {
+        let sample = |k: i64| {
             let t_us = until_us - k * self.period_us;
             let sample = ToolSample {
                 time: ServerTime::from_micros(t_us),
                 pose: self.true_pose(t_us),
                 ..ToolSample::default()
             };
-            let sent = as_sent(&sample).map_err(|e| {
+            as_sent(&sample).map_err(|e| {
                 format!(
                     "the motion at {:.3} s cannot be encoded: {e}",
                     t_us as f64 * 1e-6
                 )
-            })?;
-            timeline.insert(sent);
+            })
+        };
+        (0..=n).rev().map(sample).collect()
+    }
+
+    /// Inserts these samples into a timeline.
+    pub(super) fn fill(
+        &self,
+        timeline: &mut Timeline,
+        from_us: i64,
+        until_us: i64,
+    ) -> Result<(), String> {
+        for sample in self.samples(from_us, until_us)? {
+            timeline.insert(sample);
         }
         Ok(())
     }
@@ -84,6 +99,8 @@ pub(super) fn method_line(method: Method, points: impl IntoIterator<Item = (f64,
         Method::VerletRaw => (ORANGE, true),
         Method::Verlet => (BLUE, false),
         Method::Hermite => (PURPLE, false),
+        Method::Kalman => (SKY, false),
+        Method::Chosen => (AMBER, false),
     };
     Line::new(method.name(), colour, points).dashed(dashed)
 }

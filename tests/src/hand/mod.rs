@@ -4,14 +4,17 @@
 //! | --- | --- |
 //! | [`Motion`] | a recorded hand, from a table or a recording of a session |
 //! | [`Random`] | band-limited, with tremor, from a seed |
+//! | [`Sensor`] | records another hand at its own rate and with noise |
 
 pub(crate) mod command;
 mod random;
+mod sensor;
 
-use palpate_device::backend::replay::Motion;
+use palpate_device::backend::replay::{Moment, Motion};
 use palpate_protocol::Pose;
 
 pub use random::{HandParameters, Random};
+pub use sensor::Sensor;
 
 pub trait Hand: Send + Sync {
     /// Pose `t_s` seconds after the start of the motion; constant before the start and after the end.
@@ -19,6 +22,11 @@ pub trait Hand: Send + Sync {
 
     /// Length, s; infinite for an endless motion.
     fn length_s(&self) -> f64;
+
+    /// Samples per second of a recording, from the median of their intervals; `None` for a continuous motion.
+    fn rate_hz(&self) -> Option<f64> {
+        None
+    }
 }
 
 impl Hand for Motion {
@@ -30,6 +38,13 @@ impl Hand for Motion {
 
     fn length_s(&self) -> f64 {
         Self::length_s(self)
+    }
+
+    fn rate_hz(&self) -> Option<f64> {
+        let step = |pair: &[Moment]| pair[1].t_s - pair[0].t_s;
+        let mut steps: Vec<f64> = self.moments().windows(2).map(step).collect();
+        let middle = steps.len() / 2;
+        Some(1.0 / *steps.select_nth_unstable_by(middle, f64::total_cmp).1)
     }
 }
 

@@ -82,7 +82,7 @@ impl Jitter {
 }
 
 /// Box-Muller transform.
-fn standard_normal(rng: &mut Pcg64) -> f64 {
+pub(crate) fn standard_normal(rng: &mut Pcg64) -> f64 {
     let u: f64 = 1.0 - rng.random::<f64>();
     let v: f64 = rng.random();
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()

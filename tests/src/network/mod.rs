@@ -28,6 +28,7 @@ mod trace;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use draw::standard_normal;
 pub(crate) use event_queue::EventQueue;
 pub use link::{Bursts, Jitter, Link, Outage, Outages, Rate, Step, Steps};
 pub use path::{
