@@ -32,8 +32,8 @@ pub(super) struct MotionBatch {
     unsent: usize,
     stale: usize,
     batches: u32,
-    /// Newest samples of the last two batches.
-    before: [Option<ClientTime>; 2],
+    /// Newest samples of the last four batches.
+    before: [Option<ClientTime>; 4],
 }
 
 impl MotionBatch {
@@ -50,7 +50,7 @@ impl MotionBatch {
             // The clock was set back. Samples with earlier stamps would delay all later ones.
             self.stale += std::mem::take(&mut self.unsent);
             self.kept.clear();
-            self.before = [None; 2];
+            self.before = [None; 4];
         }
         let ordered = self.kept.back().is_none_or(|last| last.time < sample.time);
         if !in_range || !ordered {
@@ -107,15 +107,17 @@ impl MotionBatch {
 
     /// How much later than regular a batch with this newest sample leaves, and the oldest news in it.
     fn lateness(&mut self, newest: ClientTime, now: ClientTime) -> Lateness {
-        let oldest_due = match self.before {
-            [_, None] => newest,
-            [earlier, Some(last)] => {
-                // A slow device has longer intervals than a batch.
-                let interval = earlier.map_or(BATCH_LENGTH, |earlier| last - earlier);
-                last + interval.clamp(BATCH_LENGTH, STALE)
-            }
-        };
-        self.before = [self.before[1], Some(newest)];
+        let [a, b, c, last] = self.before;
+        let oldest_due = last.map_or(newest, |last| {
+            // A slow device has longer intervals than a batch; a stall makes one of them long.
+            let intervals = [(a, b), (b, c), (c, Some(last))];
+            let known = intervals.into_iter().filter_map(|(a, b)| Some(b? - a?));
+            last + known
+                .min()
+                .unwrap_or(BATCH_LENGTH)
+                .clamp(BATCH_LENGTH, STALE)
+        });
+        self.before = [b, c, last, Some(newest)];
         Lateness::after(now, newest + BATCH_WAIT, oldest_due + BATCH_WAIT)
     }
 

@@ -23,7 +23,8 @@ use crate::session::{
 };
 use crate::{OperationId, ParticipantId, ProtocolError, ServerTime, Span, TokenBucket, ToolTrack};
 
-/// Rate and burst of accepted requests. Further ones are refused with [`RequestRefusal::TooMany`].
+/// Rate and burst of accepted requests. Further ones are refused with
+/// [`RequestRefusal::TooMany`](crate::request::RequestRefusal::TooMany).
 pub const REQUESTS_PER_SECOND_MAX: u32 = 50;
 
 /// Burst of refused requests; their rate is [`REQUESTS_PER_SECOND_MAX`], too. A client that sends more
