@@ -4,8 +4,8 @@
 use crate::Vec3;
 use crate::cell::PAIRS;
 
-/// Smallest volume spanned at a corner of a cell, in cubed spacings (1 for a cube). Lower lets cuts come closer
-/// to a tilted blade where the lattice makes a step, and slows the equilibrium beside the wound: at 0.01 by a factor of nine.
+/// Smallest volume spanned at a corner of a cell, in cubed spacings (1 for a cube). Lower lets cuts
+/// come closer to a tilted blade where the lattice makes a step; higher keeps cells fatter.
 pub(crate) const CORNER_FLOOR: f64 = 0.05;
 /// Shortest spring, in spacings.
 pub(crate) const SPRING_FLOOR: f64 = 0.3;
