@@ -44,17 +44,17 @@ pub const ALL: &[Experiment] = experiments! {
         "one target point reached along four paths (fig 7.10)";
     "leg-press", 11.5, [Model], Work::Experiment(leg_press::run),
         "a leg with rigid bones pressed over muscle and over bone (fig 7.11)";
-    "cut-methods", 6.0, [], Work::Experiment(cut_methods::run),
+    "cut-methods", 2.0, [], Work::Experiment(cut_methods::run),
         "one stroke by element removal, subdivision, subdivision with snapping, and a sheet (fig 2.3)";
     "cut-force", 5.0, [], Work::Experiment(cut_force::run),
         "force of a blade that cuts skin, fat, muscle and liver, and its work per area of the wound";
-    "needle-force", 20.0, [], Work::Experiment(needle_force::run),
+    "needle-force", 11.0, [], Work::Experiment(needle_force::run),
         "force of a needle into fat, muscle, liver and layers, and out again";
-    "cut-time", 6.0, [], Work::Experiment(cut_time::run),
+    "cut-time", 5.0, [], Work::Experiment(cut_time::run),
         "time of a blade sample over the length of a cut, in models of three sizes (fig 7.13)";
-    "cut-width", 15.0, [Model], Work::Experiment(cut_width::run),
+    "cut-width", 13.0, [Model], Work::Experiment(cut_width::run),
         "opening of a cut over the depth below the surface, at rest and retracted (fig 7.17)";
-    "cut-gallery", 6.0, [Model], Work::Experiment(cut_gallery::run),
+    "cut-gallery", 5.0, [Model], Work::Experiment(cut_gallery::run),
         "pictures of cuts: snapping, curves, refinement, layers, depths, crossings, a piece (figs 5.10, 7.14 to 7.20)";
     "press", 135.0, [Model], Work::Experiment(press::run),
         "force error of the haptic path: a ball and a line pressed at 100 mm/s, the line then dragged";
