@@ -14,7 +14,7 @@ use table::{Table, executable};
 
 /// Prefixes of the criteria that depend on machine load.
 ///
-/// The distance of a cut is 0.2 mm alone, and 4 to 5 mm in some runs beside another demo.
+/// The distance of a cut is judged where the demo runs alone.
 const TIMED: [&str; 7] = [
     "force error",
     "longest dropout",

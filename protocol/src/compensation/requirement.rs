@@ -34,7 +34,7 @@ const MEMORY: Span = Span::from_millis(30_000);
 /// A longer rise is the new level of the path, not a burst.
 const LEVEL_WINDOW: Span = Span::from_millis(1200);
 
-/// A step is a rise that has lasted this long: three packets at 250 Hz.
+/// A step is a rise of all packets within this time: at 250 Hz four, so that no single late one is a step.
 const STEP_WINDOW: Span = Span::from_millis(14);
 
 /// The quantile of a path without jitter is a packet interval; jitter is beyond it.

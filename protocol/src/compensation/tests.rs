@@ -213,7 +213,7 @@ fn wanted_over_stalls(stalls_ms: &[(i64, i64)]) -> Vec<(i64, Span)> {
     wanted.collect()
 }
 
-/// The largest D* from one second on in a range of milliseconds.
+/// The largest D* in a range of milliseconds.
 fn most_wanted_ms(wanted: &[(i64, Span)], range: std::ops::Range<i64>) -> f64 {
     let within = wanted.iter().filter(|(ms, _)| range.contains(ms));
     within.map(|(_, w)| w.as_millis_f64()).fold(0.0, f64::max)
@@ -252,6 +252,28 @@ fn recurring_bursts_are_covered() {
         .fold(f64::MAX, f64::min);
     let most = most_wanted_ms(&wanted, 10_000..60_000);
     assert!(least >= 190.0 && most <= 310.0, "{least} to {most} ms");
+}
+
+#[test]
+fn bursts_before_a_step_do_not_raise_the_delay_beyond_the_cap() {
+    let mut estimator = DelayEstimator::new(Span::from_millis(400));
+    let mut most = Span::ZERO;
+    for i in 0..10_000_i64 {
+        // A fifth of the time the packets of 300 ms arrive at once.
+        let (sent, burst) = (i * 4, i * 4 % 1500);
+        let age_ms = match (i < 5000, burst < 300) {
+            (true, true) => 350 - burst,
+            (true, false) => 50,
+            (false, _) => 150,
+        };
+        let arrival = MotionArrival::on_time(at(sent * 1000), at((sent + age_ms) * 1000));
+        estimator.handle_arrival(arrival);
+        most = most.max(estimator.wanted().unwrap_or_default());
+    }
+    assert!(
+        most > Span::from_millis(250) && most <= Span::from_millis(400),
+        "{most:?}"
+    );
 }
 
 #[test]

@@ -76,7 +76,7 @@ impl Bank {
         }
     }
 
-    /// Begins anew after a pause. Errors are kept, because the device is the same.
+    /// Restarts the filters after a pause. The errors are kept, because the device is the same.
     pub(super) fn restart(&mut self, sample: &Components) {
         self.filters = CUTOFFS.map(|cutoff| Kalman::new(cutoff, sample));
         for trial in &mut self.trials {

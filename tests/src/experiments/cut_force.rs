@@ -33,7 +33,7 @@ const DEPTH_M: f64 = 8e-3;
 const DEEPEST_M: f64 = 22e-3;
 const BLADE_M: f64 = 40e-3;
 /// A hand that follows its path within a millimetre.
-const HAND: Hand = Hand {
+pub(super) const HAND: Hand = Hand {
     mass_kg: 0.3,
     stiffness_n_per_m: 4_000.0,
     damping_ns_per_m: 40.0,

@@ -4,11 +4,11 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use palpate_device::Script;
-use palpate_device::script::{Hand, Tool, ToolKind, Waypoint};
+use palpate_device::script::{Tool, ToolKind, Waypoint};
 use palpate_tissue::{Material, Model, Vec3, block};
 use serde_json::{Value, json};
 
-use super::cut_force::{add_layers, idle, resolve};
+use super::cut_force::{HAND, add_layers, idle, resolve};
 use super::table::Column;
 use super::{Bench, Outcome, Table};
 use crate::chart::{BLUE, Chart, GREEN, GREY, Line, ORANGE, Panel};
@@ -29,14 +29,6 @@ const DEPTH_M: f64 = 30e-3;
 /// Depths of the mean force on the way in, and on the way out, m.
 const PLATEAU_M: [f64; 2] = [24e-3, 30e-3];
 const PULL_M: [f64; 2] = [12e-3, 18e-3];
-/// A hand that follows its path within a millimetre.
-const HAND: Hand = Hand {
-    mass_kg: 0.3,
-    stiffness_n_per_m: 4_000.0,
-    damping_ns_per_m: 40.0,
-    tremor_m: 0.0,
-    seed: 1,
-};
 
 const COLUMNS: [Column; 9] = [
     ("tissue", "tissue", 1.0),
@@ -69,6 +61,12 @@ fn closed_form_n(layers: &Layers, depth_m: f64) -> [f64; 2] {
         above_m += thick_m;
     }
     [tip, friction]
+}
+
+/// Force along the shaft in closed form, N, on the way in or out.
+fn along_n(layers: &Layers, depth_m: f64, is_inward: bool) -> f64 {
+    let [tip, friction] = closed_form_n(layers, depth_m);
+    if is_inward { tip + friction } else { -friction }
 }
 
 /// A needle that is pushed straight in and pulled out.
@@ -133,11 +131,10 @@ fn means(points: &[[f64; 2]], [from, to]: [f64; 2], form: impl Fn(f64) -> f64) -
 }
 
 fn figures(name: &str, layers: &Layers, pushed: &Pushed) -> Value {
-    let total = |depth: f64| closed_form_n(layers, depth).iter().sum::<f64>();
-    let friction = |depth: f64| closed_form_n(layers, depth)[1];
-    let [plateau, plateau_form] = means(&pushed.into, PLATEAU_M, total);
-    let [_, friction_form] = means(&pushed.into, PLATEAU_M, friction);
-    let [pull, pull_form] = means(&pushed.out, PULL_M, |depth| -friction(depth));
+    let [into, out] = [true, false].map(|way| move |depth: f64| along_n(layers, depth, way));
+    let [plateau, plateau_form] = means(&pushed.into, PLATEAU_M, into);
+    let [_, friction_form] = means(&pushed.into, PLATEAU_M, |depth| -out(depth));
+    let [pull, pull_form] = means(&pushed.out, PULL_M, out);
     // Later forces of a homogeneous tissue exceed that of the puncture by the friction.
     let near = pushed.into.iter().filter(|p| p[0] < 16e-3);
     json!({
@@ -160,12 +157,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         let pushed = Pushed::of(model, bench, &format!("piercing {name}"))?;
         for (way, points) in [("in", &pushed.into), ("out", &pushed.out)] {
             for [depth, force] in points.iter().step_by(10) {
-                let [tip, friction] = closed_form_n(layers, *depth);
-                let form = if way == "in" {
-                    tip + friction
-                } else {
-                    -friction
-                };
+                let form = along_n(layers, *depth, way == "in");
                 let numbers = [1e3 * depth, *force, form].map(|n| format!("{n:.4}"));
                 let words = [name, way].map(str::to_owned);
                 table.rows.push(words.into_iter().chain(numbers).collect());
@@ -192,22 +184,15 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let mut model = block(CELLS, SPACING_M, &layers[2].0, 1);
     add_layers(&mut model, SPACING_M, &LAYERS[..2])?;
     let pushed = pierce("skin, fat, muscle", &layers, model)?;
-    let form = |sign: f64, points: &[[f64; 2]]| -> Vec<(f64, f64)> {
-        let force = |depth: f64| {
-            let [tip, friction] = closed_form_n(&layers, depth);
-            if sign > 0.0 {
-                tip + friction
-            } else {
-                -friction
-            }
-        };
+    let form = |is_inward: bool, points: &[[f64; 2]]| -> Vec<(f64, f64)> {
+        let force = |depth: f64| along_n(&layers, depth, is_inward);
         points.iter().map(|p| (1e3 * p[0], force(p[0]))).collect()
     };
     let in_layers = [
         Line::new("in", BLUE, mm(&pushed.into)),
         Line::new("out", ORANGE, mm(&pushed.out)),
-        Line::new("closed form, undeformed", GREY, form(1.0, &pushed.into)).dashed(true),
-        Line::new("closed form, out", GREY, form(-1.0, &pushed.out)).dashed(true),
+        Line::new("closed form, undeformed", GREY, form(true, &pushed.into)).dashed(true),
+        Line::new("closed form, out", GREY, form(false, &pushed.out)).dashed(true),
     ];
     let chart = |title: &str, lines: Vec<Line>| {
         let panel = Panel::new("Force along the shaft", "force (N)", lines);
@@ -229,9 +214,8 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     Ok(Outcome {
         caption: "A needle enters where its tip carries the toughness times its width. Then the tip feels that of \
                   the tissue before it, and the shaft the friction on its length; on the way out the friction \
-                  alone. Tissue moves with the needle, so that layers are passed deeper than at rest. Measured \
-                  needle forces have the same course (Okamura, Simone and O'Leary 2004; skin over muscle: \
-                  Schneider, Peck and Melvin 1978); friction was 21 % of the force in Barnett, Lee and Moore 2015."
+                  alone. Tissue moves with the needle, so that layers are passed deeper than at rest. The parts are those \
+                  of Okamura, Simone and O'Leary 2004; no measured curve was compared."
             .to_owned(),
         figures: json!({ "experiment": "needle-force", "speed_mm_s": 1e3 * SPEED_M_S, "cases": rows }),
         tables: vec![

@@ -2,7 +2,7 @@
 
 use palpate_protocol::Pose;
 use palpate_protocol::operation::HeldTool;
-use palpate_protocol::tool::ToolDescription;
+use palpate_protocol::tool::{INSERTED_BUTTON, ToolDescription};
 
 use super::tests::{ME, OTHER, budget, ms, operation, own, site, tell};
 use super::*;
@@ -86,6 +86,26 @@ fn frozen_session_shows_the_held_poses_and_no_force() {
         said.contains("frozen") && said.contains("continues"),
         "{said}"
     );
+}
+
+#[test]
+fn frozen_or_muted_needle_stays_inserted() {
+    let frozen = OperationKind::Frozen {
+        is_frozen: true,
+        held: Vec::new(),
+    };
+    let muted = OperationKind::Muted {
+        participant: ME,
+        is_muted: true,
+    };
+    for kind in [frozen, muted] {
+        let mut site = site(0);
+        apply(&mut site, 0, 20, kind);
+        for (t, buttons) in [(30, INSERTED_BUTTON), (40, INSERTED_BUTTON), (50, 0)] {
+            let model = site.haptic_step(ms(t), at(), buttons, budget()).unwrap();
+            assert_eq!(model.is_inserted, buttons == INSERTED_BUTTON);
+        }
+    }
 }
 
 #[test]

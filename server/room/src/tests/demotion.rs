@@ -146,6 +146,18 @@ fn false_sample_times_of_one_participant_demote_no_other() {
 }
 
 #[test]
+fn participant_beyond_the_cap_does_not_hide_the_uplink_of_another() {
+    let mut s = Session::of(&[(30, 30), (30, 30), (30, 30)]);
+    s.run_until(2000);
+    (s.movers[2].up_ms, s.movers[2].down_ms) = (500, 500);
+    s.run_until(3000);
+    s.movers[0].up_ms = 150;
+    s.run_until(4500);
+    assert_eq!(s.demoted(), []);
+    assert!(s.target_ms() >= Some(150), "{:?} ms", s.target_ms());
+}
+
+#[test]
 fn participant_beyond_the_cap_is_demoted_and_no_longer_raises_the_delay() {
     let mut s = Session::of(&[(30, 30), (30, 30), (30, 30)]);
     s.run_until(2000);
