@@ -259,13 +259,9 @@ fn bursts_before_a_step_do_not_raise_the_delay_beyond_the_cap() {
     let mut estimator = DelayEstimator::new(Span::from_millis(400));
     let mut most = Span::ZERO;
     for i in 0..10_000_i64 {
-        // A fifth of the time the packets of 300 ms arrive at once.
+        // The packets of a quarter of the time arrive at once.
         let (sent, burst) = (i * 4, i * 4 % 1500);
-        let age_ms = match (i < 5000, burst < 300) {
-            (true, true) => 350 - burst,
-            (true, false) => 50,
-            (false, _) => 150,
-        };
+        let age_ms = if i < 5000 { 50.max(395 - burst) } else { 150 };
         let arrival = MotionArrival::on_time(at(sent * 1000), at((sent + age_ms) * 1000));
         estimator.handle_arrival(arrival);
         most = most.max(estimator.wanted().unwrap_or_default());
