@@ -192,6 +192,8 @@ impl ReplicaLoop {
             return;
         }
         self.handle_samples();
+        // Before the solve, which takes milliseconds: other sites wait for the parts of a stroke.
+        self.pass_requests();
         self.start_script();
         self.haptic();
         if let Err(error) = self.order_cuts() {
@@ -200,7 +202,6 @@ impl ReplicaLoop {
         }
         self.view();
         self.pass_resync();
-        self.pass_requests();
     }
 
     fn handle_events(&mut self) -> Result<(), SiteError> {

@@ -1,20 +1,20 @@
 //! Copies of stream messages as datagrams.
 //!
 //! A lost packet holds back everything behind it on the stream until the loss is noticed and the packet is sent again:
-//! more than a round trip. Short messages therefore leave a second time, in a datagram [`COPY_AFTER`] later. The receiver
-//! passes on the one that arrives first, in the order of the stream.
+//! more than a round trip. Short messages therefore leave again in datagrams, [`COPIES_AFTER`] later. The receiver passes on
+//! what arrives first, in the order of the stream.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use crate::Span;
 
-/// From a message to its copy: long enough for another packet, and for the end of a short burst of losses.
-pub const COPY_AFTER: Span = Span::from_millis(10);
+/// From a message to its copies: in another packet, and after a short burst of losses.
+pub const COPIES_AFTER: [Span; 2] = [Span::from_millis(4), Span::from_millis(12)];
 
-/// Longer messages have no copy: it must fit a datagram with its header.
+/// Longer messages have no copies: it must fit a datagram with its header.
 pub const COPY_MAX_BYTES: usize = 1024;
 
-/// Most copies that wait at either end; further ones are dropped.
+/// Most messages whose copies wait at either end; the copies of further ones are dropped.
 pub(super) const COPIES_MAX: u32 = 64;
 
 /// A copy: the number of the message on the stream, from 0, and its bytes as in its frame.
@@ -25,40 +25,69 @@ pub type MessageCopy = (u32, Vec<u8>);
 pub(super) struct OutgoingCopies {
     /// Messages so far.
     sent: u32,
-    /// When each is due, on the sender's clock; `None` until its message has left.
-    waiting: VecDeque<(Option<Span>, MessageCopy)>,
+    waiting: VecDeque<Waiting>,
+}
+
+/// A message whose copies wait.
+#[derive(Debug)]
+struct Waiting {
+    /// When the message left, on the sender's clock; `None` until then.
+    left: Option<Span>,
+    /// Copies that were sent.
+    copies: usize,
+    copy: MessageCopy,
+}
+
+impl Waiting {
+    /// When the next copy is due.
+    fn due(&self) -> Option<Span> {
+        self.left.map(|left| left + COPIES_AFTER[self.copies])
+    }
 }
 
 impl OutgoingCopies {
-    /// Counts a message, and adds its copy if it is wanted and short.
+    /// Counts a message, and adds its copies if they are wanted and short.
     pub(super) fn push(&mut self, message: &[u8], is_wanted: bool) {
         let has_room = self.waiting.len() < COPIES_MAX as usize;
         if is_wanted && has_room && message.len() <= COPY_MAX_BYTES {
-            self.waiting
-                .push_back((None, (self.sent, message.to_vec())));
+            self.waiting.push_back(Waiting {
+                left: None,
+                copies: 0,
+                copy: (self.sent, message.to_vec()),
+            });
         }
         self.sent = self.sent.wrapping_add(1);
     }
 
-    /// Notes that the messages so far leave now. A due time beyond that of a message that leaves now is one of a clock that
-    /// was set back.
+    /// Notes that the messages so far leave now. One that left later than now did so by a clock that was set back.
     pub(super) fn note(&mut self, now: Span) {
-        let latest = now + COPY_AFTER;
-        for (due, _) in &mut self.waiting {
-            *due = Some(due.map_or(latest, |due| due.min(latest)));
+        for waiting in &mut self.waiting {
+            waiting.left = Some(waiting.left.map_or(now, |left| left.min(now)));
         }
     }
 
     /// The next copy that is due.
     pub(super) fn poll(&mut self, now: Span) -> Option<MessageCopy> {
-        let is_due = self.due().is_some_and(|due| due <= now);
-        let first = is_due.then(|| self.waiting.pop_front());
-        first.flatten().map(|(_, copy)| copy)
+        let i = self
+            .next()
+            .filter(|i| self.waiting[*i].due() <= Some(now))?;
+        let waiting = &mut self.waiting[i];
+        waiting.copies += 1;
+        if waiting.copies < COPIES_AFTER.len() {
+            return Some(waiting.copy.clone());
+        }
+        self.waiting.remove(i).map(|waiting| waiting.copy)
     }
 
     /// When the next copy is due.
     pub(super) fn due(&self) -> Option<Span> {
-        self.waiting.front().and_then(|(due, _)| *due)
+        self.next().and_then(|i| self.waiting[i].due())
+    }
+
+    /// The message with the next copy.
+    fn next(&self) -> Option<usize> {
+        let left = (0..self.waiting.len()).filter(|i| self.waiting[*i].left.is_some());
+        left.min_by_key(|i| self.waiting[*i].due())
     }
 }
 
@@ -147,19 +176,23 @@ mod tests {
     }
 
     #[test]
-    fn copy_leaves_after_its_message() {
+    fn copies_leave_after_their_message() {
         let mut copies = OutgoingCopies::default();
-        let at = Span::from_millis(5);
+        let ms = Span::from_millis;
         copies.push(&[1], false);
         copies.push(&[2], true);
-        copies.note(at);
-        assert_eq!(
-            (copies.poll(at), copies.due()),
-            (None, Some(at + COPY_AFTER))
-        );
+        copies.note(ms(5));
+        copies.push(&[3], true);
         copies.push(&[0; COPY_MAX_BYTES + 1], true);
-        assert_eq!(copies.poll(at + COPY_AFTER), Some((1, vec![2])));
-        assert_eq!((copies.poll(at + COPY_AFTER), copies.due()), (None, None));
+        copies.note(ms(10));
+        let mut left = Vec::new();
+        for t in 0..30 {
+            while let Some((number, _)) = copies.poll(ms(t)) {
+                left.push((t, number));
+            }
+        }
+        assert_eq!(left, [(9, 1), (14, 2), (17, 1), (22, 2)]);
+        assert_eq!(copies.due(), None);
     }
 
     #[test]
@@ -168,6 +201,8 @@ mod tests {
         copies.push(&[1], true);
         copies.note(Span::from_millis(3_600_000));
         copies.note(Span::ZERO);
-        assert_eq!(copies.poll(COPY_AFTER), Some((0, vec![1])));
+        for after in COPIES_AFTER {
+            assert_eq!(copies.poll(after), Some((0, vec![1])));
+        }
     }
 }

@@ -21,7 +21,7 @@ use palpate_protocol::session::Picture;
 use palpate_protocol::{ParticipantId, RequestId, ServerTime, Span, TopologyHash};
 use palpate_tissue::snapshot::snapshot;
 use palpate_tissue::{
-    Budget, CutError, CutPreparer, Model, PreparedCut, Shape, Tissue, Tool, Topology,
+    Budget, CutError, CutPreparer, Model, PreparedCut, Shape, Tissue, Tool, Topology, TopologyCut,
 };
 
 use crate::convert;
@@ -108,7 +108,7 @@ pub enum TissueReport {
         /// The surface, if it was due.
         picture: Option<Arc<Picture>>,
     },
-    /// A cut is prepared, or refused.
+    /// The topology of a cut is known, or the cut refused.
     Cut {
         /// The participant that cuts.
         author: ParticipantId,
@@ -116,6 +116,11 @@ pub enum TissueReport {
         request: RequestId,
         /// The stroke in the rest frame and the topology after it.
         result: Result<LoggedCut, RequestRefusal>,
+    },
+    /// The preparation of a cut has ended, also of a refused one.
+    Prepared {
+        /// The participant that cuts.
+        author: ParticipantId,
         /// CPU time of the preparation, charged to the author. The thread that calls [`Cutter::make`] measures it.
         took: Span,
     },
@@ -200,6 +205,11 @@ impl CutJob {
             request: order.request,
             change,
         }
+    }
+
+    /// The participant that cuts.
+    pub fn author(&self) -> ParticipantId {
+        self.author
     }
 }
 
@@ -335,45 +345,45 @@ impl Authority {
 }
 
 impl Cutter {
-    /// Prepares a cut. The report is for the room; the prepared cut, if there is one, for the [`Authority`].
-    pub fn make(&mut self, job: &CutJob) -> (TissueReport, Option<PreparedCut>) {
+    /// Cuts the topology. The report is for the room at once, so that the replicas prepare the cut at the same time; the
+    /// finished cut, if there is one, for the [`Authority`].
+    pub fn make(&mut self, job: &CutJob) -> (TissueReport, Option<TopologyCut<'_>>) {
         let report = |result| TissueReport::Cut {
             author: job.author,
             request: job.request,
             result,
-            took: Span::ZERO,
         };
-        let (change, prepared) = match self.prepare(job) {
+        let (change, cut) = match self.cut(job) {
             Ok(made) => made,
             Err(refusal) => return (report(Err(refusal)), None),
         };
         let logged = LoggedCut {
             change,
-            version: self.preparer.topology().version(),
-            hash: self.hash(),
+            version: cut.topology().version(),
+            hash: TopologyHash(cut.topology().hash().0),
             blade_at: match &job.change {
                 ChangeAtRest::Cut(part) => Some(part.times[1]),
                 _ => None,
             },
         };
-        (report(Ok(logged)), Some(prepared))
+        (report(Ok(logged)), Some(cut))
     }
 
-    fn prepare(&mut self, job: &CutJob) -> Result<(OperationKind, PreparedCut), RequestRefusal> {
-        let preparer = &mut self.preparer;
+    fn cut(&mut self, job: &CutJob) -> Result<(OperationKind, TopologyCut<'_>), RequestRefusal> {
+        let nothing = RequestRefusal::NothingToUndo;
         let (change, result) = match &job.change {
             ChangeAtRest::Cut(part) => return self.extend(job.author, part),
             ChangeAtRest::Redo => (
                 OperationKind::Redone,
-                preparer.redo().ok_or(RequestRefusal::NothingToRedo)?,
+                (self.preparer.redo()).ok_or(RequestRefusal::NothingToRedo)?,
             ),
             ChangeAtRest::Undo => (
                 OperationKind::Undone,
-                Ok(preparer.undo().ok_or(RequestRefusal::NothingToUndo)?),
+                Ok(self.preparer.undo().ok_or(nothing)?),
             ),
             ChangeAtRest::Reset => (
                 OperationKind::Reset,
-                Ok(preparer.reset().ok_or(RequestRefusal::NothingToUndo)?),
+                Ok(self.preparer.reset().ok_or(nothing)?),
             ),
         };
         self.strokes.clear();
@@ -385,15 +395,15 @@ impl Cutter {
         &mut self,
         author: ParticipantId,
         part: &RestPart,
-    ) -> Result<(OperationKind, PreparedCut), RequestRefusal> {
+    ) -> Result<(OperationKind, TopologyCut<'_>), RequestRefusal> {
         let cut = self.strokes.extend(author, part);
         let made = match &cut {
-            Some(cut) => self.preparer.prepare(convert::part_to_tissue(author, cut)),
+            Some(cut) => self.preparer.cut(convert::part_to_tissue(author, cut)),
             None => Err(CutError::NothingNew),
         };
         self.strokes.note(author, part, made.is_ok());
         match (cut, made) {
-            (Some(cut), Ok(prepared)) => Ok((OperationKind::Cut(cut), prepared)),
+            (Some(cut), Ok(made)) => Ok((OperationKind::Cut(cut), made)),
             (_, made) => Err(made.err().map_or(RequestRefusal::NothingCut, refusal)),
         }
     }

@@ -235,8 +235,8 @@ impl Room {
                 author,
                 request,
                 result,
-                took,
-            } => self.handle_cut(author, request, result, took, now),
+            } => self.handle_cut(author, request, result, now),
+            TissueReport::Prepared { author, took } => self.handle_prepared(author, took, now),
             TissueReport::Snapshot { version, bytes } => self.handle_snapshot(version, &bytes),
         }
     }

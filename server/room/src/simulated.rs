@@ -3,8 +3,8 @@
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-use palpate_protocol::ServerTime;
 use palpate_protocol::session::PeerEvent;
+use palpate_protocol::{ServerTime, Span};
 use palpate_tissue::Model;
 
 use crate::authority::{Authority, Cutter, TickReport, TissueOrder, TissueReport};
@@ -66,11 +66,15 @@ impl SimulatedRoom {
             let report = match order {
                 TissueOrder::Settle(settling) => self.authority.settle(&settling, stop),
                 TissueOrder::Cut(cut) => {
-                    let (report, prepared) = self.cutter.make(&self.authority.job(&cut));
-                    if let Some(prepared) = prepared {
-                        self.authority.take_cut(prepared);
+                    let (report, made) = self.cutter.make(&self.authority.job(&cut));
+                    self.room.handle_report(report, now);
+                    if let Some(made) = made {
+                        self.authority.take_cut(made.finish());
                     }
-                    report
+                    TissueReport::Prepared {
+                        author: cut.author,
+                        took: Span::ZERO,
+                    }
                 }
                 TissueOrder::Snapshot => self.cutter.snapshot(),
                 TissueOrder::Apply { version, at } => {

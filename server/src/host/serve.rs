@@ -333,9 +333,9 @@ impl Session {
                 tracing::trace!(?tick, us, "tick");
             }
             TissueReport::Cut { result, .. } => {
-                self.cuts_us.saturating_record(us.max(1));
-                tracing::debug!(us, prepared = result.is_ok(), "cut");
+                tracing::debug!(us, made = result.is_ok(), "cut");
             }
+            TissueReport::Prepared { .. } => self.cuts_us.saturating_record(us.max(1)),
             TissueReport::Snapshot { version, bytes } => {
                 tracing::debug!(us, version, bytes = bytes.len(), "snapshot");
             }

@@ -164,7 +164,8 @@ impl Settler {
     }
 }
 
-/// Prepares cuts and takes snapshots until the queue closes. Returns the newest topology.
+/// Prepares cuts and takes snapshots until the queue closes. Returns the newest topology. Each cut is reported once its
+/// topology is known, and again when it is prepared.
 fn cut_all(
     mut cutter: Cutter,
     jobs: &Receiver<CutWork>,
@@ -173,19 +174,24 @@ fn cut_all(
 ) -> Cutter {
     for job in jobs {
         let (began_ns, worked_ns) = (threads::monotonic_ns(), threads::worked_ns());
-        let (mut report, cut) = match job {
-            CutWork::Cut(job) => cutter.make(&job),
-            CutWork::Snapshot => (cutter.snapshot(), None),
+        let send = |report| {
+            let took = Duration::from_nanos((threads::monotonic_ns() - began_ns).unsigned_abs());
+            answer.send(Answer { report, took }).is_ok()
         };
-        if let TissueReport::Cut { took, .. } = &mut report {
-            *took = Span::from_micros((threads::worked_ns() - worked_ns) / 1000);
-        }
-        // Sent before the report to the room, so that the cut is present when it takes effect.
-        if let Some(cut) = cut {
-            let _ = prepared.send(Work::Prepared(Box::new(cut)));
-        }
-        let took = Duration::from_nanos((threads::monotonic_ns() - began_ns).unsigned_abs());
-        if answer.send(Answer { report, took }).is_err() {
+        let is_sent = match job {
+            CutWork::Snapshot => send(cutter.snapshot()),
+            CutWork::Cut(job) => {
+                let (report, cut) = cutter.make(&job);
+                let is_sent = send(report);
+                if let Some(cut) = cut {
+                    let _ = prepared.send(Work::Prepared(Box::new(cut.finish())));
+                }
+                let took = Span::from_micros((threads::worked_ns() - worked_ns) / 1000);
+                let author = job.author();
+                is_sent && send(TissueReport::Prepared { author, took })
+            }
+        };
+        if !is_sent {
             break;
         }
     }

@@ -66,7 +66,9 @@ pub use cut::{
     SweptSurface, cut, edge_resistance, to_rest,
 };
 pub use cut_history::CutHistory;
-pub use equilibrium::{Budget, CutPreparer, Mechanism, PreparedCut, Retired, Sag, StepReport};
+pub use equilibrium::{
+    Budget, CutPreparer, Mechanism, PreparedCut, Retired, Sag, StepReport, TopologyCut,
+};
 pub use material::{FibreAxis, Material};
 pub use model::{Model, Region, RegionId};
 pub use rows::Rows;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 mod strokes;
 
-use palpate_tissue::{Budget, Material, Tissue, Tool, Topology, Vec3, block};
+use palpate_tissue::{Budget, Material, Tissue, Tool, Topology, TopologyCut, Vec3, block};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 use strokes::random_stroke::{pieces, random_stroke};
@@ -70,12 +70,16 @@ fn cut_and_press(threads: usize) -> [u64; 2] {
                 }
             }
         }
-        let undone = [preparer.undo(), preparer.undo()];
+        let undone = [0, 1].map(|_| preparer.undo().map(TopologyCut::finish));
         undone
             .into_iter()
             .flatten()
             .for_each(|cut| drop(tissue.succeed(cut)));
-        let redone = preparer.redo().expect("a stroke to redo").expect("redo");
+        let redone = preparer
+            .redo()
+            .expect("a stroke to redo")
+            .expect("redo")
+            .finish();
         tissue.succeed(redone);
         for step in 1..=3 {
             let height = 0.04 + 0.012 - 1e-3 * f64::from(step);

@@ -80,7 +80,7 @@ fn undo_of_all_cuts_returns_their_memory() {
     press(&mut tissue);
     let cut = HELD.load(Ordering::Relaxed);
     while let Some(undone) = preparer.undo() {
-        drop(tissue.succeed(undone));
+        drop(tissue.succeed(undone.finish()));
     }
     press(&mut tissue);
     let undone = HELD.load(Ordering::Relaxed);

@@ -251,7 +251,11 @@ impl Session {
 
     /// Takes back the last stroke; the operation is not in the log that a newcomer receives.
     fn undo(&mut self) -> Result<Operation, String> {
-        let undone = self.preparer.undo().ok_or("there is no cut to undo")?;
+        let undone = self
+            .preparer
+            .undo()
+            .ok_or("there is no cut to undo")?
+            .finish();
         self.tissue.succeed(undone);
         self.note(OperationKind::Undone);
         self.log.pop().ok_or("the log is empty".to_owned())
@@ -261,7 +265,7 @@ impl Session {
         let mut times = Vec::new();
         let mut began = Instant::now();
         while let Some(undone) = self.preparer.undo() {
-            self.tissue.succeed(undone);
+            self.tissue.succeed(undone.finish());
             times.push(ms(began));
             began = Instant::now();
         }

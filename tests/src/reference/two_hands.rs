@@ -298,7 +298,9 @@ impl TwoHands {
                 Err(RequestRefusal::NothingCut | RequestRefusal::CanNotCut(_)) => Ok(None),
                 Err(refusal) => Err(ReferenceError::Cut(refusal.to_string())),
             },
-            TissueReport::Settled { .. } | TissueReport::Snapshot { .. } => Ok(None),
+            TissueReport::Settled { .. }
+            | TissueReport::Prepared { .. }
+            | TissueReport::Snapshot { .. } => Ok(None),
         }
     }
 

@@ -15,7 +15,9 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use palpate_protocol::operation::{Operation, OperationKind};
-use palpate_tissue::{CutError, CutPreparer, PreparedCut, Retired, Topology, TopologyHash};
+use palpate_tissue::{
+    CutError, CutPreparer, PreparedCut, Retired, Topology, TopologyCut, TopologyHash,
+};
 
 use crate::tools::tissue_stroke;
 
@@ -124,9 +126,9 @@ impl Prefetch {
                 OperationKind::Cut(part) => {
                     Some(preparer.prepare(tissue_stroke(operation.author, part)))
                 }
-                OperationKind::Undone => preparer.undo().map(Ok),
-                OperationKind::Redone => preparer.redo(),
-                OperationKind::Reset => preparer.reset().map(Ok),
+                OperationKind::Undone => preparer.undo().map(|cut| Ok(cut.finish())),
+                OperationKind::Redone => preparer.redo().map(|cut| cut.map(TopologyCut::finish)),
+                OperationKind::Reset => preparer.reset().map(|cut| Ok(cut.finish())),
                 _ => None,
             };
             cut.map(|cut| cut.map(|cut| (Arc::clone(cut.topology()), cut)))

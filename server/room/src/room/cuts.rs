@@ -125,20 +125,23 @@ impl Room {
         self.cuts += u64::from(!is_open);
     }
 
-    /// Logs a prepared cut, or sends its refusal, and charges its author.
-    pub(super) fn handle_cut(
-        &mut self,
-        author: ParticipantId,
-        request: RequestId,
-        result: Result<LoggedCut, RequestRefusal>,
-        took: Span,
-        now: ServerTime,
-    ) {
+    /// Charges the author of a prepared cut.
+    pub(super) fn handle_prepared(&mut self, author: ParticipantId, took: Span, now: ServerTime) {
         self.cut_queue.end(author);
         self.prepare_cuts();
         if let Some(author) = self.participants.get_mut(&author) {
             author.cuts.charge(took, now);
         }
+    }
+
+    /// Logs a cut, or sends its refusal.
+    pub(super) fn handle_cut(
+        &mut self,
+        author: ParticipantId,
+        request: RequestId,
+        result: Result<LoggedCut, RequestRefusal>,
+        now: ServerTime,
+    ) {
         match result {
             Ok(cut) => {
                 let before = self.version();

@@ -272,7 +272,6 @@ fn full_log_refuses_cuts_but_demotes_restores_and_admits() {
                 hash: TopologyHash(1),
                 blade_at: None,
             }),
-            took: Span::ZERO,
         };
         s.room.handle_report(cut, ms(6000));
     }

@@ -69,9 +69,10 @@ impl Hall {
                 author: cut.author,
                 request: cut.request,
                 result: Ok(logged),
-                took: self.took,
             };
             self.room.handle_report(report, now);
+            let (author, took) = (cut.author, self.took);
+            (self.room).handle_report(TissueReport::Prepared { author, took }, now);
         }
         self.outputs = std::iter::from_fn(|| self.room.poll_output()).collect();
     }

@@ -29,7 +29,6 @@ fn log_undo(room: &mut Room, version: u32) -> bool {
             hash: TopologyHash(version.into()),
             blade_at: None,
         }),
-        took: Span::ZERO,
     };
     room.handle_report(report, ms(100));
     let orders = std::iter::from_fn(|| room.poll_order());

@@ -94,7 +94,6 @@ fn prepared_cut_enters_the_log_and_its_order_has_that_time() {
         author: palpate_protocol::ParticipantId(1),
         request: RequestId(1),
         result: Ok(logged),
-        took: Span::ZERO,
     };
     room.handle_report(report, ms(250));
     assert_eq!(room.topology(), (1, TopologyHash(9)));
@@ -123,7 +122,6 @@ fn cut_takes_effect_with_its_blade_but_not_before_earlier_operations() {
             author: palpate_protocol::ParticipantId(1),
             request: RequestId(version),
             result: Ok(logged),
-            took: Span::ZERO,
         };
         room.handle_report(report, ms(1000));
         let [TissueOrder::Apply { at, .. }] = orders(&mut room)[..] else {
@@ -147,30 +145,30 @@ fn cuts_in_preparation_are_bounded_and_a_refusal_frees_a_slot() {
     }
     assert_eq!(orders(&mut room).len(), 2, "in preparation at once");
     assert!(refusals(&drained(&mut room)).is_empty(), "the others wait");
-    let report = || TissueReport::Cut {
+    let report = TissueReport::Cut {
         author: palpate_protocol::ParticipantId(1),
         request: RequestId(0),
         result: Err(RequestRefusal::NothingCut),
-        took: Span::ZERO,
     };
-    room.handle_report(report(), now);
+    room.handle_report(report, now);
     assert_eq!(refusals(&drained(&mut room)), [RequestRefusal::NothingCut]);
+    assert!(orders(&mut room).is_empty());
+    room.handle_report(prepared(Span::ZERO), now);
     assert_eq!(orders(&mut room).len(), 1);
     asks_to_cut(&mut room, 20, now);
     assert!(refusals(&drained(&mut room)).is_empty());
+}
+
+fn prepared(took: Span) -> TissueReport {
+    let author = palpate_protocol::ParticipantId(1);
+    TissueReport::Prepared { author, took }
 }
 
 #[test]
 fn preparation_time_in_debt_is_paid_before_the_next_cut() {
     let mut room = table();
     asks_to_cut(&mut room, 1, ms(100));
-    let report = TissueReport::Cut {
-        author: palpate_protocol::ParticipantId(1),
-        request: RequestId(1),
-        result: Err(RequestRefusal::NothingCut),
-        took: Span::from_millis(1000),
-    };
-    room.handle_report(report, ms(1100));
+    room.handle_report(prepared(Span::from_millis(1000)), ms(1100));
     drained(&mut room);
     // The debt is 0.25 s at most, and a quarter of a second is paid in one.
     asks_to_cut(&mut room, 2, ms(1200));
@@ -189,7 +187,6 @@ fn report_for_a_departed_author_is_sent_to_no_peer() {
         author: palpate_protocol::ParticipantId(1),
         request: RequestId(1),
         result: Err(RequestRefusal::NothingCut),
-        took: Span::ZERO,
     };
     room.handle_report(report, ms(120));
     assert!(refusals(&drained(&mut room)).is_empty());
@@ -220,7 +217,8 @@ fn prepared_cut_takes_effect_in_the_first_view_of_its_time() {
         request: RequestId(1),
         change: crate::RequestedChange::Cut(cut),
     });
-    let (_, prepared) = cutter.make(&job);
+    let (_, made) = cutter.make(&job);
+    let prepared = made.map(palpate_tissue::TopologyCut::finish);
     authority.take_cut(prepared.unwrap());
     assert_eq!(
         version_seen(&mut authority, ms(100)),

@@ -39,6 +39,14 @@ pub struct PreparedCut {
     reference_state: Option<Arc<ReferenceState>>,
 }
 
+/// A cut of the newest topology that bricks and levels do not follow yet: versions and hashes are known in a quarter of the
+/// time. It is finished when dropped.
+#[must_use]
+pub struct TopologyCut<'a> {
+    preparer: &'a mut CutPreparer,
+    outcome: Option<CutOutcome>,
+}
+
 /// Bricks and levels after a cut.
 enum Levels {
     /// Changed around the new faces.
@@ -81,29 +89,41 @@ impl CutPreparer {
 
     /// Makes the next cut: a whole stroke or a part of one. On an error nothing changes.
     pub fn prepare(&mut self, part: impl Into<StrokePart>) -> Result<PreparedCut, CutError> {
+        self.cut(part).map(TopologyCut::finish)
+    }
+
+    /// Makes the next cut in the topology. On an error nothing changes.
+    pub fn cut(&mut self, part: impl Into<StrokePart>) -> Result<TopologyCut<'_>, CutError> {
         let outcome = self.history.cut(&mut self.topology, part.into())?;
-        Ok(self.follow(outcome))
+        Ok(self.unfinished(outcome))
     }
 
     /// Takes back the latest stroke in effect; `None` if there is none.
-    pub fn undo(&mut self) -> Option<PreparedCut> {
+    pub fn undo(&mut self) -> Option<TopologyCut<'_>> {
         let outcome = self.history.undo(&mut self.topology)?;
-        Some(self.follow(outcome))
+        Some(self.unfinished(outcome))
     }
 
     /// Repeats the latest stroke that was taken back; `None` if there is none.
-    pub fn redo(&mut self) -> Option<Result<PreparedCut, CutError>> {
+    pub fn redo(&mut self) -> Option<Result<TopologyCut<'_>, CutError>> {
         let outcome = self.history.redo(&mut self.topology)?;
-        Some(outcome.map(|outcome| self.follow(outcome)))
+        Some(outcome.map(|outcome| self.unfinished(outcome)))
     }
 
     /// Returns to the uncut tissue; `None` if no cut is in effect or can be redone.
-    pub fn reset(&mut self) -> Option<PreparedCut> {
+    pub fn reset(&mut self) -> Option<TopologyCut<'_>> {
         let has_cuts = self.history.can_undo() || self.history.can_redo();
         has_cuts.then(|| {
             let outcome = self.history.reset(&mut self.topology);
-            self.follow(outcome)
+            self.unfinished(outcome)
         })
+    }
+
+    fn unfinished(&mut self, outcome: CutOutcome) -> TopologyCut<'_> {
+        TopologyCut {
+            preparer: self,
+            outcome: Some(outcome),
+        }
     }
 
     /// Brings the solver's data to the newest topology.
@@ -158,6 +178,28 @@ impl CutPreparer {
             outcome,
             levels,
             reference_state: self.reference_state.clone(),
+        }
+    }
+}
+
+impl TopologyCut<'_> {
+    /// The topology after the cut.
+    pub fn topology(&self) -> &Arc<Topology> {
+        &self.preparer.topology
+    }
+
+    /// Brings bricks and levels to the cut topology.
+    pub fn finish(mut self) -> PreparedCut {
+        let outcome = self.outcome.take();
+        self.preparer
+            .follow(outcome.expect("only this and drop take it"))
+    }
+}
+
+impl Drop for TopologyCut<'_> {
+    fn drop(&mut self) {
+        if let Some(outcome) = self.outcome.take() {
+            self.preparer.follow(outcome);
         }
     }
 }

@@ -87,7 +87,7 @@ mod weight;
 mod work_limit;
 
 pub use budget::{Budget, StepReport};
-pub use cut_preparer::{CutPreparer, PreparedCut, Retired};
+pub use cut_preparer::{CutPreparer, PreparedCut, Retired, TopologyCut};
 pub(crate) use lanes::add_scaled;
 pub(crate) use law::Elastic;
 pub(crate) use mechanism::Disabled;
