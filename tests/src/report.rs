@@ -84,8 +84,11 @@ pub struct CutLateness {
 
 impl CutLateness {
     pub fn of(recording: &Recording) -> Self {
+        // A newcomer receives the parts before its first view with the model.
+        let from = recording.views.first().map_or(i64::MAX, |view| view.s_us);
         let cuts = recording.operations.iter().filter(|o| o.stroke.is_some());
         let late: Vec<f64> = cuts
+            .filter(|o| o.at_us >= from)
             .filter_map(|o| Some(o.late_us? as f64 * 1e-3))
             .collect();
         let at = |share| {
@@ -428,3 +431,44 @@ dropout                   more than 20 ms in which F_ref is in contact (above 0.
 playout delay D           delay of views at which all participants see the same; over all views from
                           one second after the start of the scripts to their end
 measured round trip       by the client's clock probes; it includes the time in both programs";
+
+#[cfg(test)]
+mod tests {
+    use palpate_client::recording::ViewRecord;
+    use palpate_protocol::ServerTime;
+    use palpate_protocol::operation::CutStroke;
+    use palpate_site::OperationRecord;
+
+    use super::*;
+
+    #[test]
+    fn parts_before_the_first_view_of_a_newcomer_are_not_late() {
+        let part = |at_us, late_us| OperationRecord {
+            id: 0,
+            kind: "cut".to_owned(),
+            at_us,
+            applied_us: 0,
+            late_us: Some(late_us),
+            version: 1,
+            hash: String::new(),
+            script_at_us: None,
+            stroke: Some(CutStroke {
+                began: ServerTime::ZERO,
+                joins: false,
+                points: Vec::new(),
+                width_m: 0.0,
+            }),
+        };
+        let mut recording = Recording {
+            operations: vec![part(1000, 2_000_000), part(2000, 8000)],
+            ..Recording::default()
+        };
+        assert_eq!(CutLateness::of(&recording).parts, 0);
+        recording.views.push(ViewRecord {
+            s_us: 1500,
+            ..ViewRecord::default()
+        });
+        let late = CutLateness::of(&recording);
+        assert_eq!((late.parts, late.max_ms), (1, 8.0));
+    }
+}
