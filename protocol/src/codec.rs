@@ -150,7 +150,7 @@ mod tests {
         let blade = BladePoint {
             tip_m: [1.5, -2.5, 3.5],
             axis: [0.0, 0.0, 1.0],
-            depth_m: 0.01,
+            depth_m: 0.125,
         };
         let time = ServerTime::from_micros(i64::MAX / 2);
         let points = vec![TimedBladePoint { time, blade }; STROKE_MAX_POINTS];

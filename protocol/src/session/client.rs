@@ -15,7 +15,7 @@ use crate::datagram::{Body, Header};
 use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused};
 use crate::lateness::LONG_STALL;
 use crate::request::{ClientMessage, Request, RequestKind, ServerMessage};
-use crate::session::copies::{IncomingCopies, OutgoingCopies};
+use crate::session::copies::{IncomingCopies, OutgoingCopies, REQUEST_COPIES_AFTER};
 use crate::session::motion_batch::MotionBatch;
 use crate::session::outbox::Outbox;
 use crate::session::preamble::PreambleReader;
@@ -116,7 +116,7 @@ impl ClientSession {
                 limit: codec::HELLO_MAX_BYTES,
             });
         }
-        let mut copies = OutgoingCopies::default();
+        let mut copies = OutgoingCopies::new(REQUEST_COPIES_AFTER);
         copies.push(&frame, false);
         outbox.push_bytes(frame)?;
         Ok(Self {

@@ -1,15 +1,19 @@
 //! Copies of stream messages as datagrams.
 //!
 //! A lost packet holds back everything behind it on the stream until the loss is noticed and the packet is sent again:
-//! more than a round trip. Short messages therefore leave again in datagrams, [`COPIES_AFTER`] later. The receiver passes on
+//! more than a round trip. Short messages therefore leave again in datagrams some milliseconds later. The receiver passes on
 //! what arrives first, in the order of the stream.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use crate::Span;
 
-/// From a message to its copies: in another packet, and after a short burst of losses.
-pub const COPIES_AFTER: [Span; 2] = [Span::from_millis(4), Span::from_millis(12)];
+/// From an operation or a refusal to its copies: in another packet, and after a short burst of losses.
+pub const OPERATION_COPIES_AFTER: &[Span] = &[Span::from_millis(4), Span::from_millis(12)];
+
+/// From a request to its copy. Most parts of a stroke open nothing, so that requests are six times as frequent as operations
+/// and have one copy only.
+pub const REQUEST_COPIES_AFTER: &[Span] = &[Span::from_millis(4)];
 
 /// Longer messages have no copies: it must fit a datagram with its header.
 pub const COPY_MAX_BYTES: usize = 1024;
@@ -21,8 +25,10 @@ pub(super) const COPIES_MAX: u32 = 64;
 pub type MessageCopy = (u32, Vec<u8>);
 
 /// Copies that wait to be sent.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct OutgoingCopies {
+    /// From a message to each of its copies.
+    after: &'static [Span],
     /// Messages so far.
     sent: u32,
     waiting: VecDeque<Waiting>,
@@ -38,14 +44,15 @@ struct Waiting {
     copy: MessageCopy,
 }
 
-impl Waiting {
-    /// When the next copy is due.
-    fn due(&self) -> Option<Span> {
-        self.left.map(|left| left + COPIES_AFTER[self.copies])
-    }
-}
-
 impl OutgoingCopies {
+    pub(super) fn new(after: &'static [Span]) -> Self {
+        Self {
+            after,
+            sent: 0,
+            waiting: VecDeque::new(),
+        }
+    }
+
     /// Counts a message, and adds its copies if they are wanted and short.
     pub(super) fn push(&mut self, message: &[u8], is_wanted: bool) {
         let has_room = self.waiting.len() < COPIES_MAX as usize;
@@ -68,12 +75,10 @@ impl OutgoingCopies {
 
     /// The next copy that is due.
     pub(super) fn poll(&mut self, now: Span) -> Option<MessageCopy> {
-        let i = self
-            .next()
-            .filter(|i| self.waiting[*i].due() <= Some(now))?;
+        let (_, i) = self.next().filter(|(due, _)| *due <= now)?;
         let waiting = &mut self.waiting[i];
         waiting.copies += 1;
-        if waiting.copies < COPIES_AFTER.len() {
+        if waiting.copies < self.after.len() {
             return Some(waiting.copy.clone());
         }
         self.waiting.remove(i).map(|waiting| waiting.copy)
@@ -81,13 +86,13 @@ impl OutgoingCopies {
 
     /// When the next copy is due.
     pub(super) fn due(&self) -> Option<Span> {
-        self.next().and_then(|i| self.waiting[i].due())
+        self.next().map(|(due, _)| due)
     }
 
-    /// The message with the next copy.
-    fn next(&self) -> Option<usize> {
-        let left = (0..self.waiting.len()).filter(|i| self.waiting[*i].left.is_some());
-        left.min_by_key(|i| self.waiting[*i].due())
+    /// When the next copy is due, and whose it is.
+    fn next(&self) -> Option<(Span, usize)> {
+        let due = |(i, w): (usize, &Waiting)| Some((w.left? + *self.after.get(w.copies)?, i));
+        self.waiting.iter().enumerate().filter_map(due).min()
     }
 }
 
@@ -177,7 +182,7 @@ mod tests {
 
     #[test]
     fn copies_leave_after_their_message() {
-        let mut copies = OutgoingCopies::default();
+        let mut copies = OutgoingCopies::new(OPERATION_COPIES_AFTER);
         let ms = Span::from_millis;
         copies.push(&[1], false);
         copies.push(&[2], true);
@@ -197,11 +202,11 @@ mod tests {
 
     #[test]
     fn clock_that_is_set_back_delays_no_copy() {
-        let mut copies = OutgoingCopies::default();
+        let mut copies = OutgoingCopies::new(OPERATION_COPIES_AFTER);
         copies.push(&[1], true);
         copies.note(Span::from_millis(3_600_000));
         copies.note(Span::ZERO);
-        for after in COPIES_AFTER {
+        for &after in OPERATION_COPIES_AFTER {
             assert_eq!(copies.poll(after), Some((0, vec![1])));
         }
     }

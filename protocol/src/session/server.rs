@@ -11,7 +11,7 @@ use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, RefusalReason, Refused
 use crate::lateness::LONG_STALL;
 use crate::name;
 use crate::request::{ClientMessage, ServerMessage};
-use crate::session::copies::{IncomingCopies, OutgoingCopies};
+use crate::session::copies::{IncomingCopies, OPERATION_COPIES_AFTER, OutgoingCopies};
 use crate::session::outbox::Outbox;
 use crate::session::picture::{PictureStats, PictureStream};
 use crate::session::preamble::{self, PreambleReader};
@@ -101,7 +101,7 @@ impl ServerPeer {
             state: State::Preamble(PreambleReader::default()),
             decoder: FrameDecoder::new(codec::HELLO_MAX_BYTES),
             outbox: Outbox::default(),
-            copies: OutgoingCopies::default(),
+            copies: OutgoingCopies::new(OPERATION_COPIES_AFTER),
             incoming: IncomingCopies::default(),
             link: Link::default(),
             picture: None,
