@@ -176,7 +176,7 @@ mod tests {
     #[test]
     fn fast_stroke_needs_no_more_requests() {
         let parts = parts((0..2000).map(|t| (t, t as f64)));
-        assert!((60..=70).contains(&parts.len()), "{}", parts.len());
+        assert!((75..=82).contains(&parts.len()), "{}", parts.len());
         assert!(parts.iter().all(CutRequest::is_valid));
     }
 
