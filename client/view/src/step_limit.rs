@@ -49,7 +49,7 @@ pub(crate) struct PointLimits {
 }
 
 impl PointLimits {
-    /// Limits the steps of points since the last frame. A list of another length starts anew.
+    /// Limits the steps of points since the last frame. The limit begins again with a list of another length.
     pub(crate) fn limit(&mut self, points: &mut [[f32; 3]], returns: bool) {
         if self.points.len() != points.len() {
             let start = |at: &[f32; 3]| Point {

@@ -297,11 +297,14 @@ mod tests {
     }
 
     #[test]
-    fn silent_tool_makes_no_contact_and_left_participant_is_removed() {
+    fn silent_tool_fades_and_left_participant_is_removed() {
         let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
         roster.insert(ParticipantId(1), sample(0, 0));
         let held = roster.view_tools_at(ServerTime::from_micros(500_000));
-        assert!(held[0].contacts().next().is_some());
+        let strength = |tools: &[ToolAt]| tools[0].contacts().next().map(|tool| tool.strength);
+        assert_eq!(strength(&held), Some(1.0));
+        let fading = roster.view_tools_at(ServerTime::from_micros(750_000));
+        assert_eq!(strength(&fading), Some(0.5));
         let late = roster.view_tools_at(ServerTime::from_micros(1_000_000));
         assert!(late[0].strength == 0.0 && late[0].contacts().next().is_none());
         let now = ServerTime::from_micros(1_300_000);
