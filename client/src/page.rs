@@ -239,7 +239,8 @@ impl PageWindow {
 
     /// Shows a view that this machine did not solve.
     pub(crate) fn show_thin(&mut self, topology: &Arc<Topology>, shape: &Shape, frame: &ViewFrame) {
-        self.feed.show_shape(topology, shape, frame.s, &[]);
+        let at = (frame.s, frame.returns());
+        self.feed.show_shape(topology, shape, at, &[]);
         self.show_tools(frame, None);
     }
 
@@ -247,16 +248,17 @@ impl PageWindow {
     pub(crate) fn show_tools(&self, frame: &ViewFrame, device: Option<&Frame>) {
         let shared = |tool: &ToolAt| ToolPose {
             participant: tool.participant,
-            is_active: !tool.stale,
+            is_active: tool.strength > 0.0,
             buttons: tool.buttons,
             pose: wire_pose(tool),
+            returns: tool.returns,
             ..ToolPose::default()
         };
         let mut tools: Vec<ToolPose> = frame.tools.iter().map(shared).collect();
         if let Some(device) = device {
             tools.extend(own_tools(*self.me.borrow(), device));
         }
-        self.view.show_tools(&ToolFrame {
+        self.view.show_tools(ToolFrame {
             delay: frame.delay,
             time: frame.s,
             sent: self.clock.now(),
@@ -281,6 +283,7 @@ fn own_tools(participant: ParticipantId, frame: &Frame) -> impl Iterator<Item = 
             orientation: orientation.coords.into(),
         },
         force_n: frame.felt.force.into(),
+        returns: false,
     };
     let mut proxy = ToolPose {
         shown: ShownTool::OwnProxy,

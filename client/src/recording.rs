@@ -105,7 +105,7 @@ impl ViewRecord {
         let tool = |t: &ToolAt| ToolRecord {
             participant: t.participant.0,
             position_m: t.position.into(),
-            stale: t.stale,
+            stale: t.strength == 0.0,
         };
         Self {
             s_us: frame.s.as_micros(),
@@ -125,7 +125,7 @@ pub struct ToolRecord {
     pub participant: u16,
     /// Position, m.
     pub position_m: [f64; 3],
-    /// Whether its newest sample is too old.
+    /// Whether its newest sample is too old to press.
     pub stale: bool,
 }
 

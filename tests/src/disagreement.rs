@@ -121,13 +121,13 @@ impl Disagreement {
     }
 }
 
-/// Passes the distance in mm of every counted node at every instant to `visit`.
-pub fn each_node(a: &Recording, b: &Recording, mut visit: impl FnMut(f32)) {
+/// Passes every instant, µs, with the distance in mm of every counted node to `visit`.
+pub fn each_node(a: &Recording, b: &Recording, mut visit: impl FnMut(i64, f32)) {
     let mut views = Vec::new();
     compare_views(a, b, &mut views);
-    for (_, distance) in views {
+    for (t, distance) in views {
         if let Distance::Node(mm) = distance {
-            visit(mm);
+            visit(t, mm);
         }
     }
 }

@@ -50,10 +50,12 @@ fn touching(course: &[ForcePoint], reference: &[ForcePoint]) -> Vec<(ForcePoint,
     course.iter().filter_map(&mut both).collect()
 }
 
-/// `|F - F_ref|` and `|F_ref|` over the contact, N.
-pub fn difference(course: &[ForcePoint], reference: &[ForcePoint]) -> Vec<(f64, f64)> {
-    let pair =
-        |(p, r): (ForcePoint, ForcePoint)| (norm(minus(p.force_n, r.force_n)), norm(r.force_n));
+/// Seconds of script, `|F - F_ref|` and `|F_ref|` over the contact, N.
+pub fn difference(course: &[ForcePoint], reference: &[ForcePoint]) -> Vec<(f64, f64, f64)> {
+    let pair = |(p, r): (ForcePoint, ForcePoint)| {
+        let off = norm(minus(p.force_n, r.force_n));
+        (p.t_s, off, norm(r.force_n))
+    };
     touching(course, reference).into_iter().map(pair).collect()
 }
 
@@ -104,7 +106,7 @@ pub fn norm(v: [f64; 3]) -> f64 {
     v.iter().map(|c| c * c).sum::<f64>().sqrt()
 }
 
-fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+pub fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 

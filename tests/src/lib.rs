@@ -15,7 +15,7 @@
 //! | simulate the time compensation of two sites | `alignment` |
 //! | load a server with all its seats | `load_test` |
 //! | attack a server beside an honest session | `attack` |
-//! | compare recordings | `disagreement`, `force_error`, `dropout`, `delay_figures`, `cpu`, `memory` |
+//! | compare recordings | `disagreement`, `force_error`, `dropout`, `stalls`, `delay_figures`, `cpu`, `memory` |
 //! | judge a session | `criteria` |
 //! | measure the solver | `bench` |
 //! | compare rendered and converged forces of a tool | `scenario`, `experiments` |
@@ -62,6 +62,7 @@ mod scenario;
 pub mod scripts;
 pub mod session;
 pub mod simulated_session;
+mod stalls;
 mod stress;
 pub mod test_model;
 pub mod tool_location;

@@ -177,7 +177,8 @@ impl Scenario {
             position: at.pose.position,
             orientation: at.pose.orientation,
             buttons: u8::from(at.button),
-            stale: false,
+            strength: 1.0,
+            returns: false,
         }
     }
 

@@ -129,7 +129,7 @@ fn serve(
             Order::Show(frame, is_recorded) => {
                 let report = show(&mut view, &frame, is_recorded);
                 if let Some(feed) = &mut feed {
-                    feed.show(view.tissue(), frame.s);
+                    feed.show(view.tissue(), frame.s, frame.returns());
                 }
                 report
             }

@@ -10,6 +10,7 @@ use palpate_tissue::{Reaction, Shape, Tissue, Topology};
 use tokio::sync::mpsc;
 
 use crate::shape_code::{ShapeSample, ShownReaction};
+use crate::step_limit::PointLimits;
 
 /// Shapes that may wait for the hub; further ones are dropped, because the next one replaces them.
 const WAITING_MAX: usize = 2;
@@ -67,6 +68,8 @@ pub struct Feed {
     updates: mpsc::Sender<TissueUpdate>,
     /// The topology that the hub received, and the displayed time.
     sent: Option<(Arc<Topology>, ServerTime)>,
+    /// Displayed nodes of a version.
+    limits: (u32, PointLimits),
 }
 
 impl Clone for Feed {
@@ -76,6 +79,7 @@ impl Clone for Feed {
             state: Arc::clone(&self.state),
             updates: self.updates.clone(),
             sent: None,
+            limits: Default::default(),
         }
     }
 }
@@ -88,14 +92,16 @@ impl Feed {
             state: Arc::clone(&state),
             updates,
             sent: None,
+            limits: Default::default(),
         };
         (feed, state, receiver)
     }
 
-    /// Hands over the shape of the displayed time `s`, with the reactions on the tools.
-    pub fn show(&mut self, tissue: &Tissue, s: ServerTime) {
+    /// Hands over the shape of the displayed time `s`, with the reactions on the tools. `returns` is whether a tool
+    /// returns from a hold: pages then show it with bounded steps.
+    pub fn show(&mut self, tissue: &Tissue, s: ServerTime, returns: bool) {
         let reactions = &tissue.report().reactions;
-        self.show_shape(tissue.topology(), tissue.shape(), s, reactions);
+        self.show_shape(tissue.topology(), tissue.shape(), (s, returns), reactions);
     }
 
     /// The same of a shape that this machine did not solve.
@@ -103,10 +109,11 @@ impl Feed {
         &mut self,
         topology: &Arc<Topology>,
         shape: &Shape,
-        s: ServerTime,
+        (s, returns): (ServerTime, bool),
         reactions: &[Reaction],
     ) {
         if !self.state.is_watched() {
+            self.limits = Default::default();
             return;
         }
         let Some(sent) = self.drawn(topology, s) else {
@@ -131,11 +138,16 @@ impl Feed {
             let d = shape.position(topology, *node) - sent.rest(*node);
             [d.x as f32, d.y as f32, d.z as f32]
         };
+        let mut displacements: Vec<[f32; 3]> = nodes.iter().map(displacement).collect();
+        if self.limits.0 != version {
+            self.limits = (version, PointLimits::default());
+        }
+        self.limits.1.limit(&mut displacements, returns);
         let sample = ShapeSample {
             version,
             time_us: s.as_micros() as f64,
             made_ms: wall_ms(),
-            displacements: nodes.iter().map(displacement).collect(),
+            displacements,
             reactions: reactions.iter().filter_map(shown).collect(),
         };
         // A hub that is behind draws the next shape.
@@ -199,7 +211,7 @@ mod tests {
         let mut tissue = Tissue::new(block([2, 2, 2], 4e-3, &Material::default(), 1).into());
         tissue.displace(&[(5, Vec3::new(0.0, 0.0, -1e-3))]);
         let (mut feed, state, mut updates) = Feed::new();
-        let show = |feed: &mut Feed| feed.show(&tissue, ServerTime::ZERO);
+        let show = |feed: &mut Feed| feed.show(&tissue, ServerTime::ZERO, false);
         show(&mut feed);
         assert!(updates.try_recv().is_err(), "no page watches");
         state.set_watchers(1);
@@ -221,12 +233,33 @@ mod tests {
     }
 
     #[test]
+    fn shape_after_a_stall_is_handed_over_with_bounded_steps() {
+        let mut tissue = Tissue::new(block([2, 2, 2], 4e-3, &Material::default(), 1).into());
+        let (mut feed, state, mut updates) = Feed::new();
+        state.set_watchers(1);
+        feed.show(&tissue, ServerTime::ZERO, false);
+        assert!(matches!(updates.try_recv(), Ok(TissueUpdate::Topology(_))));
+        state.set_nodes(Some((0, vec![5].into())));
+        let mut shown_mm = |tissue: &Tissue, returns| {
+            feed.show(tissue, ServerTime::ZERO, returns);
+            let Ok(TissueUpdate::Shape(sample)) = updates.try_recv() else {
+                panic!("no shape");
+            };
+            (1e4 * sample.displacements[0][2]).round() / 10.0
+        };
+        assert_eq!(shown_mm(&tissue, false), 0.0);
+        tissue.displace(&[(5, Vec3::new(0.0, 0.0, -1.2e-3))]);
+        let after = [true, false, false, false].map(|returns| shown_mm(&tissue, returns));
+        assert_eq!(after, [-0.5, -1.0, -1.2, -1.2]);
+    }
+
+    #[test]
     fn surface_waits_while_a_blade_cuts() {
         let mut tissue = Tissue::new(block([6, 6, 4], 4e-3, &Material::default(), 1).into());
         let (mut feed, state, mut updates) = Feed::new();
         state.set_watchers(1);
         let at = |ms: i64| ServerTime::from_micros(1000 * ms);
-        feed.show(&tissue, at(0));
+        feed.show(&tissue, at(0), false);
         assert!(matches!(updates.try_recv(), Ok(TissueUpdate::Topology(_))));
         state.set_nodes(Some((
             0,
@@ -243,7 +276,7 @@ mod tests {
         };
         let before = tissue.topology().clone();
         tissue.cut(&stroke).unwrap();
-        feed.show(&tissue, at(30));
+        feed.show(&tissue, at(30), false);
         let Ok(TissueUpdate::Shape(sample)) = updates.try_recv() else {
             panic!("no shape of the surface that pages have");
         };
@@ -254,14 +287,14 @@ mod tests {
             let apart = drawn - tissue.shape().position(tissue.topology(), node as u32);
             assert!(apart.norm() < 1e-6);
         }
-        feed.show(&tissue, at(250));
+        feed.show(&tissue, at(250), false);
         assert!(matches!(updates.try_recv(), Ok(TissueUpdate::Topology(t)) if t.version() == 1));
         state.set_nodes(Some((
             1,
             (0..tissue.topology().node_count() as u32).collect(),
         )));
         // A surface with nodes that are gone is replaced at once.
-        feed.show(&Tissue::at_rest(before), at(260));
+        feed.show(&Tissue::at_rest(before), at(260), false);
         assert!(matches!(updates.try_recv(), Ok(TissueUpdate::Topology(t)) if t.version() == 0));
     }
 }

@@ -369,7 +369,7 @@ mod tests {
             self.tissue.displace(&[(0, Vec3::new(0.0, 0.0, dz))]);
             // Later than the next surface is due.
             self.now = self.now + Span::from_millis(300);
-            self.feed.show(&self.tissue, self.now);
+            self.feed.show(&self.tissue, self.now, false);
             while let Ok(update) = self.updates.try_recv() {
                 hub.draw(update);
             }

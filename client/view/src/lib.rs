@@ -28,6 +28,7 @@ mod server;
 mod shape_code;
 mod shape_streams;
 mod springs;
+mod step_limit;
 mod surface;
 mod tool_code;
 mod web_transport;

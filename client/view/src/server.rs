@@ -2,8 +2,8 @@
 
 use std::future::ready;
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use axum::Router;
 use axum::extract::State as Extracted;
@@ -25,6 +25,7 @@ use crate::https::HttpsListener;
 use crate::hub::{Hub, HubEvent};
 use crate::message::{FromHost, InvitationMessage, State, Welcome};
 use crate::page::{Clock, FRAMES_MAX, Page, PageId, PageInput, TEXTS_MAX};
+use crate::step_limit::ToolLimits;
 use crate::tool_code::ToolFrame;
 use crate::{asset, origin};
 
@@ -139,6 +140,7 @@ pub struct ViewServer {
     /// States and tools; the next one replaces one that finds no room.
     news: mpsc::Sender<HubEvent>,
     feed: Arc<FeedState>,
+    tool_limits: Arc<Mutex<ToolLimits>>,
 }
 
 /// Data that the HTTP handlers share.
@@ -208,6 +210,7 @@ impl ViewServer {
             hub,
             news,
             feed: feed_state,
+            tool_limits: Arc::default(),
         };
         Ok((server, feed, received))
     }
@@ -277,7 +280,11 @@ impl ViewServer {
     }
 
     /// Shows the tools on all pages.
-    pub fn show_tools(&self, tools: &ToolFrame) {
+    pub fn show_tools(&self, mut tools: ToolFrame) {
+        let limits = self.tool_limits.lock();
+        limits
+            .unwrap_or_else(PoisonError::into_inner)
+            .limit(&mut tools.tools);
         let _ = self.news.try_send(HubEvent::Tools(tools.encode()));
     }
 

@@ -36,6 +36,8 @@ pub struct ToolPose {
     pub pose: Pose,
     /// Force on it, N.
     pub force_n: [f64; 3],
+    /// Whether it returns from a hold; pages then show it with bounded steps.
+    pub returns: bool,
 }
 
 /// All tools at one displayed time.

@@ -168,7 +168,7 @@ async fn admitted_page_gets_state_tools_and_answers_to_pings() {
         (pong["id"].as_u64(), pong["server_us"].as_i64()),
         (Some(4), Some(7_000_000))
     );
-    host.view.show_tools(&ToolFrame::default());
+    host.view.show_tools(ToolFrame::default());
     loop {
         if let Message::Binary(bytes) = next(&mut page).await {
             assert_eq!(bytes[0], 3);

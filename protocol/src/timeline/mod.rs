@@ -4,10 +4,12 @@
 //! a sample at τ        -> use it
 //! both neighbours      -> INTERPOLATE
 //! only past, gap <= G  -> EXTRAPOLATE                       G = 50 ms
-//! else                 -> HOLD, fade, flag stale
-//! a late packet        -> insert it; blend the correction linearly over 30-100 ms;
-//!                         no correction moves the displayed tool by more than 1 mm at once
+//! else                 -> SLOW DOWN and HOLD; after 0.5 s the contact fades (`silence`)
+//! a late packet        -> insert it; blend the correction linearly over 30-100 ms
 //! ```
+//!
+//! A correction lasts at most 100 ms whatever its size, so that all sites agree again soon after a stall. A picture
+//! limits its steps itself: [`Shown::returns`].
 //!
 //! Between samples, positions by the formulas of [`crate::verlet`] and rotations by slerp. Beyond the newest
 //! sample, several predictors weighted by their errors so far ([`Method::Chosen`]), because the best depends
@@ -16,6 +18,7 @@
 mod bank;
 mod curve;
 mod kalman;
+mod silence;
 
 use nalgebra::{Quaternion, UnitQuaternion};
 
@@ -23,20 +26,19 @@ use crate::verlet::{Vec3, map2};
 use crate::{Pose, ServerTime, Span, ToolSample};
 use curve::Curve;
 
+pub use silence::{PRESSES_UNTIL, RELEASED_FROM, SLOWING, SLOWING_MAX_M};
+
 /// The gap limit G unless another is given.
 pub const GAP_LIMIT: Span = Span::from_millis(50);
-
-/// The held pose fades from full to nothing within this time.
-pub const FADE: Span = Span::from_millis(200);
 
 /// A correction is blended over this time when it is small ...
 pub const BLEND_MIN: Span = Span::from_millis(30);
 
-/// ... and over this time when it is 10 mm or more.
+/// ... and over this time when it is 10 mm or more, or when contact returns in full.
 pub const BLEND_MAX: Span = Span::from_millis(100);
 
-/// The largest change of the displayed position by a correction between two queries, metres.
-pub const CORRECTION_STEP_MAX_M: f64 = 1e-3;
+/// Time after a hold in which all sites agree again: the correction, and the tissue that follows it.
+pub const RETURN: Span = Span::from_millis(200);
 
 /// Samples kept per tool: two seconds at 1 kHz, more than the longest delay. The oldest go first.
 pub const SAMPLES_MAX: usize = 2048;
@@ -99,7 +101,7 @@ pub enum Source {
     Interpolated,
     /// Beyond the newest sample, by at most the gap limit.
     Extrapolated,
-    /// Farther beyond the newest sample: the tool is held.
+    /// Farther beyond the newest sample: the tool slows down and is held.
     Held,
 }
 
@@ -114,10 +116,10 @@ pub struct Shown {
     pub buttons: u8,
     /// The source of the pose.
     pub source: Source,
-    /// Whether no sample has arrived for longer than the gap limit: the tool must not press any more.
-    pub stale: bool,
-    /// How strongly to draw it: 1, and while it is held down to 0 within [`FADE`].
-    pub opacity: f64,
+    /// Share of its contact force: 1 up to [`PRESSES_UNTIL`] beyond the newest sample, 0 from [`RELEASED_FROM`] on.
+    pub strength: f64,
+    /// Whether it returns from a held pose: up to [`RETURN`] after the hold.
+    pub returns: bool,
 }
 
 /// The difference between the displayed and the newly known pose, fading to zero.
@@ -127,16 +129,15 @@ struct Correction {
     lasts: Span,
     position_m: Vec3,
     rotation: UnitQuaternion<f64>,
+    strength: f64,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct LastShown {
     at: ServerTime,
     shown: Shown,
-    /// The pose from the samples of that time, without corrections.
-    raw: Pose,
-    /// The correction that was in it.
-    offset_m: Vec3,
+    /// The same from the samples of that time, without corrections.
+    raw: Shown,
 }
 
 /// One tool over time. [`insert`](Self::insert) samples in order of arrival, late and duplicate ones
@@ -148,6 +149,8 @@ pub struct Timeline {
     gap_limit: Span,
     changed: bool,
     correction: Option<Correction>,
+    /// Last time shown of the latest hold that a sample has ended.
+    held_until: Option<ServerTime>,
     last: Option<LastShown>,
 }
 
@@ -165,6 +168,7 @@ impl Timeline {
             gap_limit: gap_limit.abs(),
             changed: false,
             correction: None,
+            held_until: None,
             last: None,
         }
     }
@@ -186,25 +190,21 @@ impl Timeline {
         }
         let raw = self.raw(t)?;
         let mut shown = raw;
-        let mut offset_m = [0.0; 3];
         if let Some(correction) = self.correction {
             let elapsed = (t - correction.began).as_secs_f64() / correction.lasts.as_secs_f64();
             let weight = (1.0 - elapsed).clamp(0.0, 1.0);
-            let wanted = correction.position_m.map(|c| c * weight);
-            offset_m = self.limited(wanted);
-            shown.pose.position_m = map2(raw.pose.position_m, offset_m, |x, o| x + o);
+            shown.pose.position_m = map2(raw.pose.position_m, correction.position_m, |x, c| {
+                x + c * weight
+            });
             let turn = UnitQuaternion::identity().slerp(&correction.rotation, weight);
             shown.pose.orientation = from_unit(turn * unit(raw.pose.orientation));
-            if weight == 0.0 && offset_m == [0.0; 3] {
+            shown.strength = (raw.strength + correction.strength * weight).clamp(0.0, 1.0);
+            if weight == 0.0 {
                 self.correction = None;
             }
         }
-        self.last = Some(LastShown {
-            at: t,
-            shown,
-            raw: raw.pose,
-            offset_m,
-        });
+        shown.returns = self.held_until.is_some_and(|until| t - until < RETURN);
+        self.last = Some(LastShown { at: t, shown, raw });
         Some(shown)
     }
 
@@ -217,26 +217,38 @@ impl Timeline {
     /// The pose from the samples, without corrections.
     fn raw(&self, t: ServerTime) -> Option<Shown> {
         let newest = self.curve.newest()?;
-        let beyond = t - newest.time;
-        let held = beyond > self.gap_limit;
-        let queried = if held {
-            newest.time + self.gap_limit
-        } else {
-            t
-        };
-        let (pose, velocity_m_s, sample, source) = self.curve.at(queried)?;
-        let faded = (beyond - self.gap_limit).as_secs_f64() / FADE.as_secs_f64();
+        let limit = newest.time + self.gap_limit;
+        let since = t - limit;
+        let strength = silence::strength(t - newest.time);
+        if since <= Span::ZERO {
+            let (pose, velocity_m_s, sample, source) = self.curve.at(t)?;
+            return Some(Shown {
+                pose,
+                velocity_m_s,
+                buttons: sample.buttons,
+                source,
+                strength,
+                returns: false,
+            });
+        }
+        let (at_limit, velocity, sample, _) = self.curve.at(limit)?;
+        let slowing = silence::slowing(since, distance(velocity, [0.0; 3]));
+        let position_m = map2(at_limit.position_m, velocity, |x, v| {
+            x + v * slowing.distance_s
+        });
+        // The rotation slows down in the same way, along the prediction.
+        let turned = limit + Span::from_secs_f64(silence::slowing(since, 0.0).distance_s);
+        let (at_turned, ..) = self.curve.at(turned)?;
         Some(Shown {
-            pose,
-            velocity_m_s: if held { [0.0; 3] } else { velocity_m_s },
-            buttons: sample.buttons,
-            source: if held { Source::Held } else { source },
-            stale: held,
-            opacity: if held {
-                (1.0 - faded).clamp(0.0, 1.0)
-            } else {
-                1.0
+            pose: Pose {
+                position_m,
+                orientation: at_turned.orientation,
             },
+            velocity_m_s: velocity.map(|v| v * slowing.velocity),
+            buttons: sample.buttons,
+            source: Source::Held,
+            strength,
+            returns: false,
         })
     }
 
@@ -248,43 +260,38 @@ impl Timeline {
         let Some(now_known) = self.raw(last.at) else {
             return;
         };
-        let moved = distance(now_known.pose.position_m, last.raw.position_m);
-        let turned = unit(now_known.pose.orientation).angle_to(&unit(last.raw.orientation));
-        if moved < MOVED_M && turned < 1e-4 {
+        let moved = distance(now_known.pose.position_m, last.raw.pose.position_m);
+        let turned = unit(now_known.pose.orientation).angle_to(&unit(last.raw.pose.orientation));
+        let regained = now_known.strength - last.raw.strength;
+        if moved < MOVED_M && turned < 1e-4 && regained <= 0.0 {
             return;
         }
-        if last.shown.opacity == 0.0 || t < last.at {
-            // The tool was not displayed before: it appears at its pose.
+        if t < last.at {
             self.correction = None;
             return;
         }
-        let shown = last.shown.pose;
+        let shown = if last.shown.strength > 0.0 {
+            last.shown.pose
+        } else {
+            // The tool did not press: it appears at its pose, and its contact grows.
+            now_known.pose
+        };
+        let faded = (now_known.strength - last.shown.strength).max(0.0);
         let position_m = map2(shown.position_m, now_known.pose.position_m, |s, k| s - k);
         let rotation = unit(shown.orientation) * unit(now_known.pose.orientation).inverse();
-        let share = (distance(position_m, [0.0; 3]) / 0.010).min(1.0);
+        let share = (distance(position_m, [0.0; 3]) / 0.010).max(faded).min(1.0);
         let extra = (BLEND_MAX - BLEND_MIN).as_secs_f64() * share;
         let lasts = BLEND_MIN + Span::from_secs_f64(extra);
+        if last.shown.source == Source::Held {
+            self.held_until = Some(last.at);
+        }
         self.correction = Some(Correction {
             began: last.at,
             lasts,
             position_m,
             rotation,
+            strength: -faded,
         });
-        if let Some(last) = &mut self.last {
-            last.offset_m = position_m;
-        }
-    }
-
-    /// The wanted offset, or as near to it as one step goes.
-    fn limited(&self, wanted: Vec3) -> Vec3 {
-        let Some(last) = self.last else { return wanted };
-        let step = distance(wanted, last.offset_m);
-        if step <= CORRECTION_STEP_MAX_M {
-            return wanted;
-        }
-        map2(last.offset_m, wanted, |from, to| {
-            from + (to - from) * CORRECTION_STEP_MAX_M / step
-        })
     }
 }
 

@@ -260,20 +260,111 @@ fn sample_at_the_queried_time_is_shown_unchanged() {
     assert!(timeline.at(us(-1)).is_none());
 }
 
-#[test]
-fn tool_is_held_fades_and_is_stale_beyond_the_gap_limit() {
-    let mut timeline = Timeline::default();
-    for i in 0..=20 {
-        timeline.insert(sample(i * 1000));
+/// Samples of a straight line at this speed in m/s, every millisecond up to `last_ms`.
+fn straight(timeline: &mut Timeline, from_ms: i64, last_ms: i64, speed: f64) {
+    for ms in from_ms..=last_ms {
+        let mut at = sample(ms * 1000);
+        at.pose.position_m = [speed * ms as f64 * 1e-3, 0.0, 0.0];
+        timeline.insert(at);
     }
-    let at = |timeline: &mut Timeline, ms: i64| timeline.at(us(ms * 1000)).unwrap();
-    assert_eq!(at(&mut timeline, 60).source, Source::Extrapolated);
-    let held = at(&mut timeline, 80);
-    assert!(held.stale && held.source == Source::Held && held.velocity_m_s == [0.0; 3]);
-    let later = at(&mut timeline, 200);
-    assert_eq!(later.pose, held.pose);
-    assert!(later.opacity < held.opacity);
-    assert_eq!(at(&mut timeline, 1000).opacity, 0.0);
+}
+
+#[test]
+fn silent_tool_slows_down_within_its_error_budget_and_holds() {
+    for speed in [0.01, 0.1, 0.5, 2.0] {
+        let mut timeline = Timeline::default();
+        straight(&mut timeline, 0, 200, speed);
+        let at_limit = speed * 0.25;
+        let mut last = timeline.at(us(250_000)).unwrap();
+        assert_eq!(last.source, Source::Extrapolated);
+        for ms in 251..1500 {
+            let shown = timeline.at(us(ms * 1000)).unwrap();
+            assert_eq!(shown.source, Source::Held);
+            let [x, v] = [shown.pose.position_m[0], shown.velocity_m_s[0]];
+            assert!(
+                (0.0..=last.velocity_m_s[0] + 1e-12).contains(&v),
+                "{ms}: {v} m/s"
+            );
+            let step = x - last.pose.position_m[0];
+            assert!(step >= -1e-12 && step <= 1e-3 * last.velocity_m_s[0] + 1e-9);
+            assert!(x - at_limit <= SLOWING_MAX_M + 1e-9, "{speed} m/s: {x} m");
+            last = shown;
+        }
+        let way = last.pose.position_m[0] - at_limit;
+        let expected = (speed * SLOWING.as_secs_f64()).min(SLOWING_MAX_M);
+        assert!(
+            (way - expected).abs() < 1e-3 * expected,
+            "{speed} m/s: {way} m"
+        );
+    }
+}
+
+#[test]
+fn contact_of_silent_tool_is_kept_for_half_a_second_then_fades_smoothly() {
+    let mut timeline = Timeline::default();
+    straight(&mut timeline, 0, 20, 0.1);
+    let mut at = |ms: i64| timeline.at(us(ms * 1000)).unwrap().strength;
+    assert_eq!([at(20), at(100), at(520)], [1.0; 3]);
+    let course: Vec<f64> = (520..1100).map(at).collect();
+    // A smooth step of 0.5 s: 1.5 times its mean slope.
+    let falls = course.windows(2).map(|w| w[0] - w[1]);
+    assert!(falls.clone().all(|fall| (0.0..=3.01e-3).contains(&fall)));
+    assert!((course[250] - 0.5).abs() < 1e-3 && course[500] == 0.0);
+}
+
+#[test]
+fn sites_with_the_same_samples_hold_the_same_tool() {
+    let [mut near, mut far] = [Timeline::default(), Timeline::default()];
+    for ms in 0..1200 {
+        if ms <= 300 {
+            near.insert(sample(ms * 1000));
+        }
+        // A burst of samples that were late.
+        if ms == 380 {
+            (100..=300).for_each(|ms| far.insert(sample(ms * 1000)));
+        } else if ms <= 100 {
+            far.insert(sample(ms * 1000));
+        }
+        let [a, b] = [&mut near, &mut far].map(|timeline| timeline.at(us(ms * 1000)).unwrap());
+        if ms >= 480 {
+            let apart = distance(a.pose.position_m, b.pose.position_m);
+            assert!(apart < 1e-9 && a.strength == b.strength, "{ms}: {apart} m");
+        }
+    }
+}
+
+#[test]
+fn tool_and_contact_return_within_100_ms_after_a_hold_of_any_length() {
+    // The hand moves on during the hold, by up to 200 mm.
+    for silent_ms in [100, 300, 700, 990, 2000] {
+        let mut timeline = Timeline::default();
+        straight(&mut timeline, 0, 100, 0.1);
+        let ends = 100 + silent_ms;
+        let mut last = timeline.at(us(100_000)).unwrap();
+        for ms in (104..ends).step_by(4) {
+            last = timeline.at(us(ms * 1000)).unwrap();
+        }
+        let held = last;
+        let held_ms = (ends - 1) / 4 * 4;
+        for ms in (ends..ends + 300).step_by(4) {
+            straight(&mut timeline, ms - 3, ms, 0.1);
+            let shown = timeline.at(us(ms * 1000)).unwrap();
+            let step = distance(shown.pose.position_m, last.pose.position_m);
+            let jump = distance(held.pose.position_m, [1e-4 * ends as f64, 0.0, 0.0]);
+            let appears = held.strength == 0.0 && ms == ends;
+            assert!(
+                appears || step < 4e-4 + 4.0 / 30.0 * jump,
+                "{silent_ms}: {step} m"
+            );
+            let grows = shown.strength - last.strength;
+            assert!((0.0..0.12).contains(&grows), "{silent_ms}: {grows} at once");
+            let agrees = ms >= ends + 100;
+            let off = (shown.pose.position_m[0] - 1e-4 * ms as f64).abs();
+            assert!(!agrees || off < 1e-9 && shown.strength == 1.0);
+            assert_eq!(shown.returns, ms < held_ms + 200);
+            last = shown;
+        }
+    }
 }
 
 /// The methods for sessions: methods of sample-to-sample differences jump by construction.

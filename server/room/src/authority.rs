@@ -66,6 +66,8 @@ pub struct Settling {
     pub view_time: ServerTime,
     /// The tools that press at that time.
     pub tools: Vec<Tool>,
+    /// Whether one of them returns from a hold.
+    pub returns: bool,
     /// Whether corrections are due.
     pub wants_corrections: bool,
     /// Due time of the tick, if there is a thin subscriber.

@@ -319,7 +319,7 @@ impl Participant {
         tool.zip(shown)
     }
 
-    /// The parts of the tool that press at time t. Empty if there is no tool, no sample, only stale samples, a cutting
+    /// The parts of the tool that press at time t. Empty if there is no tool, no sample, only old samples, a cutting
     /// blade, or an inactive tool.
     pub(crate) fn pressing_at(&mut self, t: ServerTime) -> Vec<Tool> {
         let Some((description, shown)) = self.shown_at(t) else {
@@ -339,6 +339,7 @@ impl Participant {
             turn,
             form: Form::rectangle(part.mid.into(), part.half.map(Vec3::from)),
             needle,
+            strength: shown.strength,
             ..Tool::ball(
                 part_id(self.id, i),
                 Vec3::from(shown.pose.position_m),

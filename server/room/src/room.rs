@@ -344,6 +344,11 @@ impl Room {
             .values_mut()
             .flat_map(|p| p.pressing_at(view_time))
             .collect();
+        let returns = |p: &mut Participant| {
+            p.shown_at(view_time)
+                .is_some_and(|(_, shown)| shown.returns)
+        };
+        let returns = self.participants.values_mut().any(returns);
         let wants_corrections = now >= self.next_correction;
         if wants_corrections {
             self.next_correction = now + CORRECTION_PERIOD;
@@ -353,6 +358,7 @@ impl Room {
         self.orders.push_back(TissueOrder::Settle(Settling {
             view_time,
             tools,
+            returns,
             wants_corrections,
             wants_picture: has_thin_subscriber.then_some(now),
         }));

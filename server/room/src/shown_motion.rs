@@ -1,16 +1,16 @@
 //! The motion of a tool that views show: its samples, and the pose that it holds while the session is frozen.
 
-use palpate_protocol::timeline::Timeline;
-use palpate_protocol::{Pose, ServerTime, Span, ToolSample};
+use palpate_protocol::timeline::{RELEASED_FROM, Timeline};
+use palpate_protocol::{Pose, ServerTime, ToolSample};
 
-/// Age of the newest sample from which a tool holds no pose: more than the longest uplink.
-const SILENT: Span = Span::from_millis(1000);
-
-/// Pose and buttons of a tool at one time.
+/// Pose, buttons and contact strength of a tool at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ShownPose {
     pub(crate) pose: Pose,
     pub(crate) buttons: u8,
+    pub(crate) strength: f64,
+    /// Whether the tool returns from a hold.
+    pub(crate) returns: bool,
 }
 
 /// Motion between two changes of a tool's activity.
@@ -45,7 +45,13 @@ impl ShownMotion {
             ..
         } = sample;
         if self.newest.is_none_or(|(newest, _)| time > newest) {
-            self.newest = Some((time, ShownPose { pose, buttons }));
+            let newest = ShownPose {
+                pose,
+                buttons,
+                strength: 1.0,
+                returns: false,
+            };
+            self.newest = Some((time, newest));
         }
         self.timeline.insert(sample);
     }
@@ -57,7 +63,7 @@ impl ShownMotion {
 
     /// Holds the pose of the newest sample from a time on. Returns it, unless the tool is silent.
     pub(crate) fn hold(&mut self, from: ServerTime) -> Option<ShownPose> {
-        let newest = self.newest.filter(|(time, _)| from - *time < SILENT);
+        let newest = self.newest.filter(|(time, _)| from - *time < RELEASED_FROM);
         let pose = newest.map(|(_, pose)| pose);
         self.held = Some((from, pose));
         pose
@@ -68,15 +74,17 @@ impl ShownMotion {
         self.held.map(|(from, _)| from)
     }
 
-    /// Pose at a time; `None` without samples, with stale ones, and where a freeze holds none.
+    /// Pose at a time; `None` without samples, where they are too old to press, and where a freeze holds none.
     pub(crate) fn at(&mut self, t: ServerTime) -> Option<ShownPose> {
         match self.held {
             Some((from, pose)) if t >= from => pose,
             _ => {
-                let shown = self.timeline.at(t).filter(|shown| !shown.stale)?;
+                let shown = self.timeline.at(t).filter(|shown| shown.strength > 0.0)?;
                 Some(ShownPose {
                     pose: shown.pose,
                     buttons: shown.buttons,
+                    strength: shown.strength,
+                    returns: shown.returns,
                 })
             }
         }

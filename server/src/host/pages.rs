@@ -144,9 +144,10 @@ impl Pages {
             is_active: true,
             buttons: tool.buttons,
             pose: tool.pose,
+            returns: tool.returns,
             ..ToolPose::default()
         };
-        self.view.show_tools(&ToolFrame {
+        self.view.show_tools(ToolFrame {
             delay: room.delay_at(now),
             time: s,
             sent: now,

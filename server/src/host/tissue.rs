@@ -153,7 +153,7 @@ impl Settler {
                         return;
                     }
                     if let Some(feed) = &mut self.feed {
-                        feed.show(self.authority.tissue(), order.view_time);
+                        feed.show(self.authority.tissue(), order.view_time, order.returns);
                     }
                     let used = Span::from_micros((threads::worked_ns() - worked_ns) / 1000);
                     let rest = budget.charge(now_ns / 1000, used);

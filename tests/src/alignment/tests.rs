@@ -68,7 +68,7 @@ fn steady_jitter_costs_at_most_a_tenth_more_lag_than_the_smallest_safe_delay() {
         let alignment = over("gamma", seed);
         let figures = alignment.figures(ADAPTIVE);
         assert!(figures.is_safe(), "{seed}: {figures:?}");
-        assert!(times_nearer(&figures, &alignment) >= 50.0);
+        assert!(times_nearer(&figures, &alignment) >= 25.0);
         lag_is_within(1.10, &figures, &alignment);
     }
 }

@@ -7,6 +7,7 @@ use palpate_protocol::datagram::{Probe, Reply};
 use palpate_protocol::operation::CompensationSettings;
 use palpate_protocol::request::DelayReport;
 use palpate_protocol::session::FUTURE_MAX;
+use palpate_protocol::timeline::Source;
 use palpate_protocol::{ParticipantId, ServerTime, Span, ToolSample};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -180,7 +181,9 @@ impl TwoSites {
             time_s: now as f64 * 1e-6,
             first: [a_own.pose.position_m, b_other.pose.position_m],
             second: [b_own.pose.position_m, a_other.pose.position_m],
-            stale: a_other.stale || b_other.stale,
+            stale: [a_other, b_other]
+                .iter()
+                .any(|tool| tool.source == Source::Held),
             delay_ms: delay.as_millis_f64(),
             age_ms: age.as_millis_f64(),
             ahead_ms: (a.predicted_ahead).map_or(0.0, Span::as_millis_f64),

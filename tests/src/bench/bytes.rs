@@ -239,6 +239,7 @@ mod tests {
             part,
             acknowledgement: 6,
             bytes,
+            arrives_us: None,
         }
     }
 

@@ -40,7 +40,8 @@ An experiment file (its paths are relative to the file):
                 adaptive {disagreement_mm, compensation_ms}
   transmission  {profile, seed, without_ms {mean, deviation}, with_ms {mean, deviation}}
   jitter        {profile, seed, without_um, with_um}
-  replicas      {profile, seeds, shape_disagreement_mm {p50, p95, max}, force_error_rms, force_error_p95, hashes_equal,
+  replicas      {profile, seeds, shape_disagreement_mm {p50, p95, max}, force_error_rms, force_error_p95,
+                outside_stalls [the same], stalls {share, dropouts, force_step_max_n}, hashes_equal,
                 bytes_per_s {up, down}, ok, missed [one message per missed limit], networks [the same for each network]};
                 thin and scale also have ok and missed; the exit code is 1 if ok is false
   cut-time      {experiment, sizes [{nodes, opening, first_ms, cut | other | follow | step | quiet_step {p50_ms, p99_ms,

@@ -58,6 +58,8 @@ pub struct Sent {
     pub acknowledgement: u16,
     /// Total size in bytes, without QUIC overhead.
     pub bytes: u16,
+    /// Arrival, µs of true time; `None` if it was lost.
+    pub arrives_us: Option<u64>,
 }
 
 pub(crate) trait Payload {
@@ -187,6 +189,10 @@ impl<P: Payload> Links<P> {
             Packet::Segment(_, data) => (data.bytes(), (Part::Operations, 0)),
         };
         let sent_us = at_us.unsigned_abs();
+        let flow = self.flow(seat, direction);
+        flow.bytes += bytes as u64;
+        let arrivals = flow.path.send(sent_us, bytes);
+        let arrival = arrivals.iter().find(|a| a.corrupted.is_none());
         if self.log.len() < SENT_MAX {
             self.log.push(Sent {
                 at_us: sent_us,
@@ -195,12 +201,9 @@ impl<P: Payload> Links<P> {
                 part,
                 acknowledgement,
                 bytes: u16::try_from(bytes).unwrap_or(u16::MAX),
+                arrives_us: arrival.map(|a| a.at_us),
             });
         }
-        let flow = self.flow(seat, direction);
-        flow.bytes += bytes as u64;
-        let arrivals = flow.path.send(sent_us, bytes);
-        let arrival = arrivals.iter().find(|a| a.corrupted.is_none());
         let next_us = match (arrival, &packet) {
             (Some(arrival), _) => arrival.at_us as i64,
             (None, Packet::Segment(..)) => at_us + self.resend_us,

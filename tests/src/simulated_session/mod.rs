@@ -41,6 +41,7 @@ use palpate_tissue::Model;
 use serde::Serialize;
 
 use crate::network::{Direction, Profile};
+use crate::stalls::Stalls;
 use host::{Host, room_config};
 use simulation::{Participant, Simulation};
 use thin_spectator::ThinSpectator;
@@ -102,6 +103,8 @@ pub struct SessionResult {
     pub bytes_per_s: BytesPerSecond,
     /// Every packet from the start of the scripts.
     pub sent: Vec<Sent>,
+    /// Stalls of the network between trainees.
+    pub stalls: Stalls,
     /// Time from the start of the scripts, s.
     pub seconds: f64,
     /// Errors of the run; empty on success.
@@ -189,21 +192,27 @@ impl SimulatedSession<'_> {
         let own = own.chain(thin_spectators.iter().filter_map(ThinSpectator::topology));
         let topologies = std::iter::once((version, hash.0)).chain(own).collect();
         let last = host.pictures.last_key_value().map(|(_, p)| p.as_ref());
+        let counters = trainees.iter().map(Trainee::counters).collect();
+        let recordings: Vec<Recording> = trainees.into_iter().map(|t| t.recording).collect();
+        let bytes = |direction| links.bytes_sent(direction, trainee_count) as f64 * share;
+        let bytes_per_s = BytesPerSecond {
+            up: bytes(Direction::Up),
+            down: bytes(Direction::Down),
+        };
+        let sent = links.take_log();
         Ok(SessionResult {
             thin_results: thin_spectators
                 .iter_mut()
                 .map(|t| t.result(at_us, last))
                 .collect(),
             topologies,
-            counters: trainees.iter().map(Trainee::counters).collect(),
+            counters,
             demotions: host.room.demotion_count(),
             limits: host.limits(),
-            recordings: trainees.into_iter().map(|t| t.recording).collect(),
-            bytes_per_s: BytesPerSecond {
-                up: links.bytes_sent(Direction::Up, trainee_count) as f64 * share,
-                down: links.bytes_sent(Direction::Down, trainee_count) as f64 * share,
-            },
-            sent: links.take_log(),
+            stalls: Stalls::between(&sent, &recordings),
+            recordings,
+            bytes_per_s,
+            sent,
             seconds,
             troubles,
         })

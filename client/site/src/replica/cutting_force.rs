@@ -96,7 +96,8 @@ mod tests {
                 position: begin + velocity * moved_s,
                 orientation: UnitQuaternion::identity(),
                 buttons: 1,
-                stale: false,
+                strength: 1.0,
+                returns: false,
             };
             if ms % 4 == 0 {
                 model = replica.haptic_step(now, Some(&tool), &[], Budget::new(4, 1e-2));

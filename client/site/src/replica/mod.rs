@@ -365,7 +365,7 @@ impl Replica {
             hold_shaft(&mut model, needle, shaft);
         }
         model.is_inserted = parts.iter().any(|r| r.is_inserted);
-        if let Some(blade) = own.filter(|own| own.is_cutting() && !own.stale) {
+        if let Some(blade) = own.filter(|own| own.is_cutting()) {
             self.cutting.add_to(&mut model, tissue, blade);
         }
         ContactModel {

@@ -21,7 +21,8 @@ fn tool(depth: f64) -> ToolAt {
         position: Vec3::new(5.1 * CELL, 4.9 * CELL, 6.0 * CELL + RADIUS - depth),
         orientation: UnitQuaternion::identity(),
         buttons: 0,
-        stale: false,
+        strength: 1.0,
+        returns: false,
     }
 }
 

@@ -92,7 +92,8 @@ impl Site {
             position: pose.position,
             orientation: pose.orientation,
             buttons,
-            stale: false,
+            strength: 1.0,
+            returns: false,
         });
         let others = match self.common_time(now) {
             Some((s, _)) => self.roster.haptic_tools_at(s, self.me),

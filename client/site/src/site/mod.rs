@@ -84,6 +84,13 @@ pub struct ViewFrame {
     pub tools: Vec<ToolAt>,
 }
 
+impl ViewFrame {
+    /// Whether a tool returns from a hold.
+    pub fn returns(&self) -> bool {
+        self.tools.iter().any(|tool| tool.returns)
+    }
+}
+
 /// Updates for a detached view, in order.
 pub enum ViewUpdate {
     /// A cut to adopt.

@@ -67,7 +67,8 @@ impl Reach {
                 orientation: orientation(&sample.pose),
                 // A cutting blade makes no contact, but its distance counts.
                 buttons: 0,
-                stale: false,
+                strength: 1.0,
+                returns: false,
             };
             at.contacts().collect::<Vec<_>>()
         });

@@ -297,21 +297,28 @@ mod tests {
     }
 
     #[test]
-    fn silent_tool_makes_no_contact_and_left_participant_is_removed() {
+    fn silent_tool_fades_and_left_participant_is_removed() {
         let mut roster = Roster::new(&[entry(1, ToolKind::Probe)]);
         roster.insert(ParticipantId(1), sample(0, 0));
-        let late = roster.view_tools_at(ServerTime::from_micros(300_000));
-        assert!(late[0].stale && late[0].contacts().next().is_none());
-        roster.insert(ParticipantId(1), sample(300_000, 0));
-        let now = ServerTime::from_micros(300_000);
-        assert!(!roster.view_tools_at(now)[0].stale);
+        let held = roster.view_tools_at(ServerTime::from_micros(500_000));
+        let strength = |tools: &[ToolAt]| tools[0].contacts().next().map(|tool| tool.strength);
+        assert_eq!(strength(&held), Some(1.0));
+        let fading = roster.view_tools_at(ServerTime::from_micros(750_000));
+        assert_eq!(strength(&fading), Some(0.5));
+        let late = roster.view_tools_at(ServerTime::from_micros(1_000_000));
+        assert!(late[0].strength == 0.0 && late[0].contacts().next().is_none());
+        let now = ServerTime::from_micros(1_300_000);
+        roster.insert(ParticipantId(1), sample(1_300_000, 0));
+        assert_eq!(roster.view_tools_at(now).len(), 1);
+        let now = ServerTime::from_micros(1_400_000);
+        assert_eq!(roster.view_tools_at(now)[0].strength, 1.0);
         roster.lose(ParticipantId(1));
         assert!(roster.view_tools_at(now).is_empty());
         roster.leave(ParticipantId(1));
-        roster.insert(ParticipantId(1), sample(310_000, 0));
+        roster.insert(ParticipantId(1), sample(1_410_000, 0));
         assert!(
             roster
-                .view_tools_at(ServerTime::from_micros(310_000))
+                .view_tools_at(ServerTime::from_micros(1_410_000))
                 .is_empty()
         );
     }

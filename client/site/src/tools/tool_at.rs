@@ -22,8 +22,10 @@ pub struct ToolAt {
     pub orientation: UnitQuaternion<f64>,
     /// One bit per button; bit 0 is the main one.
     pub buttons: u8,
-    /// Whether its newest sample is too old.
-    pub stale: bool,
+    /// Share of its contact force: below 1 while its samples are missing, 0 if it presses no more.
+    pub strength: f64,
+    /// Whether it returns from a hold, so that pictures limit its steps.
+    pub returns: bool,
 }
 
 /// Lever that converts a rotation into a distance, m: the length of a long tool.
@@ -42,7 +44,8 @@ impl ToolAt {
             position: Vec3::from(shown.pose.position_m),
             orientation: orientation(&shown.pose),
             buttons: shown.buttons,
-            stale: shown.stale,
+            strength: shown.strength,
+            returns: shown.returns,
         }
     }
 
@@ -54,13 +57,14 @@ impl ToolAt {
             position: Vec3::from(held.pose.position_m),
             orientation: orientation(&held.pose),
             buttons: held.buttons,
-            stale: false,
+            strength: 1.0,
+            returns: false,
         }
     }
 
     /// Whether both are the same tool in the same state.
     pub fn is_alike(&self, other: &Self) -> bool {
-        let state = |t: &Self| (t.participant, t.description, t.buttons, t.stale);
+        let state = |t: &Self| (t.participant, t.description, t.buttons, t.strength);
         state(self) == state(other)
     }
 
@@ -81,11 +85,11 @@ impl ToolAt {
         self.description.kind == ToolKind::Needle && self.buttons & INSERTED_BUTTON != 0
     }
 
-    /// Contact geometry of the tool; empty if it cuts, is stale or has an invalid pose.
+    /// Contact geometry of the tool; empty if it cuts, presses no more or has an invalid pose.
     pub fn contacts(&self) -> impl Iterator<Item = Tool> + '_ {
         let held = self.buttons & 1 == 1;
         let parts = self.description.parts(held).enumerate();
-        let presses = !self.stale && !self.is_cutting();
+        let presses = self.strength > 0.0 && !self.is_cutting();
         let needle = (self.description.kind == ToolKind::Needle).then_some(Needle {
             is_inserted: self.is_inserted(),
             decides: false,
@@ -96,6 +100,7 @@ impl ToolAt {
                 turn: self.orientation,
                 form: Form::rectangle(part.mid.into(), part.half.map(Vec3::from)),
                 needle,
+                strength: self.strength,
                 ..Tool::ball(
                     part_id(self.participant, i),
                     self.position,

@@ -15,6 +15,8 @@ pub struct ToolShown {
     pub pose: Pose,
     /// One bit per button.
     pub buttons: u8,
+    /// Whether it returns from a hold.
+    pub returns: bool,
 }
 
 /// Measurements of a seat.
@@ -41,6 +43,7 @@ impl Room {
                 participant: p.id,
                 pose: shown.pose,
                 buttons: shown.buttons,
+                returns: shown.returns,
             })
         };
         self.participants.values_mut().filter_map(shown).collect()

@@ -284,6 +284,20 @@ fn muted_tool_neither_presses_nor_cuts_until_it_is_active_again() {
 }
 
 #[test]
+fn silent_tool_presses_for_half_a_second_then_fades() {
+    let mut lesson = Lesson::new();
+    lesson.press_for(400);
+    let newest_ms = lesson.now.as_micros() / 1000 - 1;
+    let mut strength_after = |silent_ms: i64| {
+        let tools = lesson.room.pressing_at(BOB, ms(newest_ms + silent_ms));
+        tools.first().map(|tool| tool.strength)
+    };
+    assert_eq!(strength_after(500), Some(1.0));
+    assert_eq!(strength_after(750), Some(0.5));
+    assert_eq!(strength_after(1000), None);
+}
+
+#[test]
 fn mute_outlasts_a_reconnect() {
     let mut lesson = Lesson::new();
     lesson.press_for(100);

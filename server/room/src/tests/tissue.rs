@@ -195,6 +195,7 @@ fn report_for_a_departed_author_is_sent_to_no_peer() {
 /// Topology version of the surface at this view time.
 fn version_seen(authority: &mut Authority, at: ServerTime) -> u32 {
     let order = Settling {
+        returns: false,
         view_time: at,
         tools: Vec::new(),
         wants_corrections: false,

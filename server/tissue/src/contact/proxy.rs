@@ -35,6 +35,8 @@ pub(crate) struct Proxy {
     /// Excess of the contact radius over the tool's; the surface is offset inwards by it.
     pub(crate) inset: f64,
     pub(crate) target: Tool,
+    /// Way out of the tissue along the contact force, in m: the indentation at full strength.
+    out: Vec3,
     /// Position of the pivot, and rotation.
     pub(crate) at: Vec3,
     pub(crate) turn: UnitQuaternion<f64>,
@@ -61,6 +63,7 @@ impl Proxy {
             radius: tool.radius_m,
             inset: 0.0,
             target: *tool,
+            out: Vec3::zeros(),
             at: tool.centre,
             turn: tool.turn,
             core,
@@ -77,6 +80,10 @@ impl Proxy {
 
     /// Sets the target pose. Returns whether it changed.
     pub(crate) fn follow(&mut self, tool: &Tool) -> bool {
+        let tool = &Tool {
+            centre: tool.centre + self.withdrawal(tool.strength),
+            ..*tool
+        };
         let changed = self.target != *tool;
         let other = self.target.form != tool.form;
         let is_other_needle = other || self.target.needle.is_some() != tool.needle.is_some();
@@ -94,6 +101,22 @@ impl Proxy {
             self.turn = tool.turn;
         }
         changed
+    }
+
+    /// Displacement of the tool at a strength. The hold of the tissue on a needle is no indentation.
+    fn withdrawal(&self, strength: f64) -> Vec3 {
+        if self.insertion.is_in() {
+            return Vec3::zeros();
+        }
+        self.out * (1.0 - strength)
+    }
+
+    /// Notes the indentation of a tool at full strength.
+    pub(super) fn note_indentation(&mut self, force: &Vec3, indentation_m: f64) {
+        if self.target.strength == 1.0 {
+            let out = force.try_normalize(1e-12).unwrap_or_else(Vec3::zeros);
+            self.out = out * indentation_m;
+        }
     }
 
     /// Adapts the proxy to the lattice: a tool thinner than the resolution presses as a wider one on a surface that is
@@ -250,6 +273,9 @@ impl Proxy {
             }
         }
         if out.0 > 0.0 {
+            // A weak tool that appears in the tissue enters it as its strength grows.
+            self.out = out.1 - self.at;
+            self.target.centre += self.withdrawal(self.target.strength);
             self.set(out.1, self.turn);
         }
     }

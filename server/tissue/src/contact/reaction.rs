@@ -159,6 +159,8 @@ impl Contacts {
         let torque = samples.iter().map(|f| f.lever.cross(&f.force)).sum();
         let sum: f64 = samples.iter().map(|f| f.amount).sum();
         let share = if sum > 0.0 { 1.0 / sum } else { 0.0 };
+        let deepest = samples.iter().map(|f| f.indentation).fold(0.0, f64::max);
+        proxy.note_indentation(&force, deepest);
         let friction = |k: usize| {
             samples
                 .iter()

@@ -72,6 +72,9 @@ pub struct Tool {
     pub radius_m: f64,
     /// `None` for a blunt tool.
     pub needle: Option<Needle>,
+    /// Share of its contact force, from 0 to 1: a weaker tool withdraws along that force, by the rest of its indentation.
+    /// An inserted needle does not.
+    pub strength: f64,
 }
 
 impl Tool {
@@ -84,16 +87,18 @@ impl Tool {
             form: Form::BALL,
             radius_m,
             needle: None,
+            strength: 1.0,
         }
     }
 
-    /// Whether pose, form and radius are finite and valid.
+    /// Whether pose, form, radius and strength are finite and valid.
     pub fn is_sound(&self) -> bool {
         let norm = self.turn.quaternion().norm();
         self.radius_m > 0.0
             && self.radius_m.is_finite()
             && self.centre.iter().all(|v| v.abs() < 1e6)
             && (norm - 1.0).abs() < 1e-6
+            && (0.0..=1.0).contains(&self.strength)
             && self.form.is_sound()
     }
 

@@ -85,6 +85,7 @@ fn session(
         recordings: std::array::from_fn(|_| recordings.next().unwrap_or_default()),
         hashes_equal,
         bytes_per_s: None,
+        stalls: None,
         troubles: Vec::new(),
     })
 }

@@ -1,17 +1,23 @@
-//! Statistics over many sessions: distances of shapes and errors of forces.
+//! Statistics over many sessions: distances of shapes and errors of forces, over all of the time and outside
+//! [stalls](Stalls) of the network. The limits hold outside; within stalls the own force must stay.
 
 use palpate_client::Recording;
 use serde_json::{Value, json};
 
 use crate::bench::quantile_of_sorted;
 use crate::disagreement::{Disagreement, DisagreementPoint, each_node};
-use crate::force_error::{ForcePoint, difference, over_script};
+use crate::dropout::Dropouts;
+use crate::force_error::{ForcePoint, difference, minus, norm, over_script};
 use crate::histogram::StepHistogram;
 use crate::network::Profile;
 use crate::simulated_session::{BytesPerSecond, SessionResult};
+use crate::stalls::Stalls;
 
 const SHAPE_P95_MM: f64 = 0.1;
 const FORCE_RMS: f64 = 0.05;
+
+/// Largest change of a force within 4 ms of a stall, N.
+const FORCE_STEP_N: f64 = 0.5;
 
 #[derive(Debug, Clone, Default)]
 struct ForceErrors {
@@ -23,15 +29,10 @@ struct ForceErrors {
 }
 
 impl ForceErrors {
-    fn add(&mut self, recording: &Recording, reference: &[ForcePoint]) {
-        let Some(began) = recording.script_started_us else {
-            return;
-        };
-        for (off, size) in difference(&over_script(&recording.haptic, began), reference) {
-            self.off += off * off;
-            self.size += size * size;
-            self.errors.push(off as f32);
-        }
+    fn add(&mut self, [off, size]: [f64; 2]) {
+        self.off += off * off;
+        self.size += size * size;
+        self.errors.push(off as f32);
     }
 
     fn join(mut self, mut other: Self) -> Self {
@@ -55,11 +56,82 @@ impl ForceErrors {
     }
 }
 
+/// Agreement of shapes, and of forces with the replay of the same hand motions.
+#[derive(Debug, Clone, Default)]
+struct Agreement {
+    /// Distances in mm, in steps of 0.5 µm.
+    apart: StepHistogram<2000>,
+    felt: ForceErrors,
+}
+
+impl Agreement {
+    fn join(self, other: Self) -> Self {
+        Self {
+            apart: self.apart.join(&other.apart),
+            felt: self.felt.join(other.felt),
+        }
+    }
+
+    fn row(&mut self) -> Value {
+        let (p50, p95) = (self.apart.quantile(0.5), self.apart.quantile(0.95));
+        json!({
+            "shape_disagreement_mm": { "p50": p50, "p95": p95, "max": self.apart.max },
+            "force_error_rms": self.felt.rms(),
+            "force_error_p95": self.felt.p95(),
+        })
+    }
+}
+
+/// The own forces during stalls.
+#[derive(Debug, Clone, Copy, Default)]
+struct Stalled {
+    us: i64,
+    of_us: i64,
+    dropouts: usize,
+    force_step_max_n: f64,
+}
+
+impl Stalled {
+    fn add(&mut self, stalls: &Stalls, recording: &Recording, same_hands: &[ForcePoint]) {
+        let Some(began) = recording.script_started_us else {
+            return;
+        };
+        let course = over_script(&recording.haptic, began);
+        let us = |t_s: f64| began + (t_s * 1e6) as i64;
+        if let Some(found) = Dropouts::between(&course, same_hands) {
+            let within = |span: &&(f64, f64)| stalls.meet(us(span.0), us(span.1));
+            self.dropouts += found.spans_s.iter().filter(within).count();
+        }
+        for pair in course
+            .windows(2)
+            .filter(|pair| stalls.contain(us(pair[1].t_s)))
+        {
+            let step = norm(minus(pair[1].force_n, pair[0].force_n));
+            self.force_step_max_n = self.force_step_max_n.max(step);
+        }
+    }
+
+    fn join(self, other: Self) -> Self {
+        Self {
+            us: self.us + other.us,
+            of_us: self.of_us + other.of_us,
+            dropouts: self.dropouts + other.dropouts,
+            force_step_max_n: self.force_step_max_n.max(other.force_step_max_n),
+        }
+    }
+
+    fn share(&self) -> f64 {
+        self.us as f64 / self.of_us.max(1) as f64
+    }
+}
+
 pub(super) struct SessionRecord {
     pub(super) recordings: [Recording; 2],
     pub(super) hashes_equal: bool,
     /// `None` if not measured.
     pub(super) bytes_per_s: Option<BytesPerSecond>,
+    /// `None` if unknown; the limits then hold at all times.
+    pub(super) stalls: Option<Stalls>,
     pub(super) troubles: Vec<String>,
 }
 
@@ -73,6 +145,7 @@ impl TryFrom<SessionResult> for SessionRecord {
             recordings: recordings.map_err(|r| format!("{} recordings of two", r.len()))?,
             hashes_equal,
             bytes_per_s: Some(result.bytes_per_s),
+            stalls: Some(result.stalls),
             troubles: result.troubles,
         })
     }
@@ -81,10 +154,9 @@ impl TryFrom<SessionResult> for SessionRecord {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Tally {
     sessions: u64,
-    /// Distances in mm, in steps of 0.5 µm.
-    apart: StepHistogram<2000>,
-    /// Errors against the replay of the same hand motions.
-    felt: ForceErrors,
+    whole: Agreement,
+    outside: Agreement,
+    stalled: Stalled,
     /// Errors against a run of the scripts without a network.
     scripted: ForceErrors,
     equal: u64,
@@ -111,7 +183,20 @@ impl Tally {
             ..Self::default()
         };
         let [a, b] = &session.recordings;
-        each_node(a, b, |mm| tally.apart.add(f64::from(mm)));
+        let stalls = session.stalls.unwrap_or_default();
+        each_node(a, b, |t, mm| {
+            tally.whole.apart.add(f64::from(mm));
+            if !stalls.contain(t) {
+                tally.outside.apart.add(f64::from(mm));
+            }
+        });
+        for recording in [a, b] {
+            let ends = recording.script_started_us.zip(recording.views.last());
+            if let Some((from, last)) = ends {
+                tally.stalled.us += stalls.within_us(from, last.shown_us);
+                tally.stalled.of_us += last.shown_us - from;
+            }
+        }
         if is_first {
             tally.disagreement = Disagreement::between(&[a, b]).over_time;
         }
@@ -119,15 +204,28 @@ impl Tally {
             return tally;
         };
         for (k, recording) in session.recordings.iter().enumerate() {
-            tally.felt.add(recording, &same_hands[k]);
-            tally.scripted.add(recording, &scripted[k]);
+            let Some(began) = recording.script_started_us else {
+                continue;
+            };
+            let course = over_script(&recording.haptic, began);
+            for (t_s, off, size) in difference(&course, &same_hands[k]) {
+                tally.whole.felt.add([off, size]);
+                if !stalls.contain(began + (t_s * 1e6) as i64) {
+                    tally.outside.felt.add([off, size]);
+                }
+            }
+            for (_, off, size) in difference(&course, &scripted[k]) {
+                tally.scripted.add([off, size]);
+            }
+            tally.stalled.add(&stalls, recording, &same_hands[k]);
         }
         tally
     }
 
     pub(super) fn join(mut self, mut other: Self) -> Self {
-        self.apart = self.apart.join(&other.apart);
-        self.felt = self.felt.join(other.felt);
+        self.whole = self.whole.join(other.whole);
+        self.outside = self.outside.join(other.outside);
+        self.stalled = self.stalled.join(other.stalled);
         self.scripted = self.scripted.join(other.scripted);
         self.troubles.append(&mut other.troubles);
         Self {
@@ -151,31 +249,37 @@ impl Tally {
 
     pub(super) fn row(&mut self, profile: &Profile) -> Value {
         let n = self.sessions.max(1) as f64;
-        let (p50, p95) = (self.apart.quantile(0.5), self.apart.quantile(0.95));
         let equal = self.equal == self.sessions;
-        let (rms, force_p95) = (self.felt.rms(), self.felt.p95());
-        let missed = self.missed(profile, p95, rms);
-        json!({
-            "profile": profile.name,
-            "seeds": self.sessions,
-            "shape_disagreement_mm": { "p50": p50, "p95": p95, "max": self.apart.max },
-            "force_error_rms": rms,
-            "force_error_p95": force_p95,
-            "force_error_rms_scripted": self.scripted.rms(),
-            "hashes_equal": equal,
-            "bytes_per_s": self.bytes.map(|b| json!({ "up": b.up / n, "down": b.down / n })),
-            "troubles": self.troubles,
-            "missed": missed,
-            "ok": missed.is_empty(),
-        })
+        let missed = self.missed(profile);
+        let mut row = self.whole.row();
+        row["profile"] = json!(profile.name);
+        row["seeds"] = json!(self.sessions);
+        row["force_error_rms_scripted"] = json!(self.scripted.rms());
+        row["outside_stalls"] = self.outside.row();
+        row["stalls"] = json!({
+            "share": self.stalled.share(),
+            "dropouts": self.stalled.dropouts,
+            "force_step_max_n": self.stalled.force_step_max_n,
+        });
+        row["hashes_equal"] = json!(equal);
+        row["bytes_per_s"] = json!(
+            self.bytes
+                .map(|b| json!({ "up": b.up / n, "down": b.down / n }))
+        );
+        row["troubles"] = json!(self.troubles);
+        row["ok"] = json!(missed.is_empty());
+        row["missed"] = json!(missed);
+        row
     }
 
-    fn missed(&self, profile: &Profile, shape_p95_mm: f64, force_rms: f64) -> Vec<String> {
+    fn missed(&self, profile: &Profile) -> Vec<String> {
         let mut missed = Vec::new();
         let mut miss = |what: String| missed.push(format!("{}: {what}", profile.name));
+        let (shape_p95_mm, force_rms) =
+            (self.outside.apart.quantile(0.95), self.outside.felt.rms());
         if shape_p95_mm > SHAPE_P95_MM {
             miss(format!(
-                "shapes differ by {shape_p95_mm:.3} mm (p95), limit {SHAPE_P95_MM}"
+                "shapes differ by {shape_p95_mm:.3} mm (p95) outside stalls, limit {SHAPE_P95_MM}"
             ));
         }
         let (percent, most) = (force_rms * 100.0, FORCE_RMS * 100.0);
@@ -183,7 +287,19 @@ impl Tally {
             miss("no force was available for comparison".to_owned());
         } else if force_rms > FORCE_RMS {
             miss(format!(
-                "forces differ by {percent:.1} % (rms), limit {most:.0} %"
+                "forces differ by {percent:.1} % (rms) outside stalls, limit {most:.0} %"
+            ));
+        }
+        if self.stalled.dropouts > 0 {
+            miss(format!(
+                "{} dropouts of the force in stalls",
+                self.stalled.dropouts
+            ));
+        }
+        let step_n = self.stalled.force_step_max_n;
+        if step_n > FORCE_STEP_N {
+            miss(format!(
+                "a force step of {step_n:.2} N in a stall, limit {FORCE_STEP_N}"
             ));
         }
         if self.equal < self.sessions {

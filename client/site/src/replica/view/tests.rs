@@ -19,7 +19,8 @@ fn tool(who: u16, x: f64, depth: f64) -> ToolAt {
         position: Vec3::new(x, 5.0 * CELL, 6.0 * CELL + 6e-3 - depth),
         orientation: nalgebra::UnitQuaternion::identity(),
         buttons: 0,
-        stale: false,
+        strength: 1.0,
+        returns: false,
     }
 }
 
