@@ -16,16 +16,17 @@ pub(super) fn weights(topology: &Topology) -> Vec<Quad> {
     let pinned: Vec<bool> = all.clone().map(|n| topology.is_pinned(n)).collect();
     let cells = (0..topology.cell_count() as u32).map(|c| topology.corners(c));
     let hangs = hanging(cells, &pinned);
-    let of = |node: u32| {
-        let mut weight = ZERO;
-        if hangs[node as usize] {
-            for a in 0..3 {
-                weight[a] = (topology.mass(node) * gravity[a]) as f32;
-            }
-        }
-        weight
+    let of = |node: u32| match hangs[node as usize] {
+        true => weight_of(topology, node),
+        false => ZERO,
     };
     all.map(of).collect()
+}
+
+/// Weight of a node in N, if its component hangs.
+pub(super) fn weight_of(topology: &Topology, node: u32) -> Quad {
+    let [x, y, z] = topology.model().gravity;
+    [x, y, z, 0.0].map(|g| (topology.mass(node) * g) as f32)
 }
 
 impl Model {

@@ -148,8 +148,8 @@ proptest! {
         let mut construction = Construction::of(&topology, &followed);
         let mut applied = followed.clone();
         for stroke in strokes {
-            if let Ok(outcome) = cut(&mut topology, &stroke) {
-                let change = followed.follow(&mut construction, &topology, &outcome);
+            if let Ok(outcome) = cut(&mut topology, &stroke).map(Arc::new) {
+                let (change, _) = followed.follow(&mut construction, &topology, &outcome);
                 applied.apply(&change);
                 let built = Hierarchy::new(&topology);
                 assert_same(&topology, &followed, &built);
