@@ -16,7 +16,7 @@
 //! Results do not depend on the shape or history of the tree: they equal a test of every triangle's own box, in the
 //! order of their numbers.
 //!
-//! Memory: about 150 bytes per triangle and 8 per node; growth after cuts may double that.
+//! Memory: about 150 bytes per triangle and 12 per node; growth after cuts may double that.
 
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::math::Vector;

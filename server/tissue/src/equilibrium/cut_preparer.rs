@@ -27,8 +27,8 @@ use crate::{Shape, Topology};
 pub struct CutPreparer {
     topology: Arc<Topology>,
     history: CutHistory,
-    hierarchy: Hierarchy,
-    construction: Construction,
+    pub(super) hierarchy: Hierarchy,
+    pub(super) construction: Construction,
     journal: Journal,
     reference_state: Option<Arc<ReferenceState>>,
 }
@@ -60,12 +60,13 @@ impl Replay<'_> {
 
 impl Follower for Replay<'_> {
     fn rewind(&mut self, topology: &Topology, parts: usize) {
-        if let Some(way) = self.journal.take(parts) {
+        if let Some(way) = self.journal.take(parts, self.hierarchy) {
             let change = self.hierarchy.go_back(self.construction, topology, way);
             self.add(change);
         } else {
             *self.hierarchy = Hierarchy::new(topology);
             *self.construction = Construction::of(topology, self.hierarchy);
+            *self.journal = Journal::new(parts);
             self.is_rebuilt = true;
         }
     }
@@ -93,19 +94,19 @@ pub struct PreparedCut {
     pub(crate) topology: Arc<Topology>,
     pub(crate) history: CutHistory,
     pub(crate) outcome: Arc<CutOutcome>,
-    levels: Levels,
+    pub(super) levels: Levels,
     reference_state: Option<Arc<ReferenceState>>,
 }
 
 /// Bricks and levels after a cut.
-enum Levels {
+pub(super) enum Levels {
     /// Changed around the faces that were opened or closed.
     Changed(Arc<HierarchyChange>),
     /// Built from scratch after an undo beyond the start of the journal.
     Rebuilt(Box<Rebuilt>),
 }
 
-struct Rebuilt {
+pub(super) struct Rebuilt {
     hierarchy: Hierarchy,
     fine: FineLevel,
     coarse: Multigrid,
@@ -257,9 +258,9 @@ impl Solver {
         topology.cell_index();
         CutPreparer {
             topology: Arc::clone(topology),
-            history,
             construction: Construction::of(topology, &self.hierarchy),
-            journal: Journal::default(),
+            journal: Journal::new(history.done().len()),
+            history,
             hierarchy: self.hierarchy.clone(),
             reference_state: self.reference_state.clone(),
         }

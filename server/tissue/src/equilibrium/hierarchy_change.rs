@@ -163,7 +163,7 @@ impl Hierarchy {
             &construction.cells,
         );
         let coarse = recoarsen(&Fine(topology), level_1, &parted_cells(topology, outcome));
-        let mut reversal = Reversal::new(self, outcome);
+        let mut reversal = Reversal::new(self, &outcome.touched, outcome.components_near > 1);
         for element in &coarse.elements {
             reversal.note_cells(construction, element.id);
             construction.set_cells(element.id, &element.cells);

@@ -12,7 +12,7 @@ use super::lanes::LANES;
 
 /// Numbers of things that bricks or elements share, by their keys. A number that nothing uses any more is given to the
 /// next new thing: cuts replace forms all the time.
-#[derive(Clone)]
+#[derive(Clone, Debug, PartialEq)]
 struct Numbers<K> {
     known: BTreeMap<K, u32>,
     keys: Vec<Option<K>>,
@@ -176,6 +176,15 @@ impl Kinds {
             matrices: matrices.to_vec(),
             numbers: Numbers::used(matrices.len(), uses),
         });
+    }
+
+    /// Asserts equal numbers of forms and matrices.
+    #[cfg(test)]
+    pub(super) fn assert_same(&self, other: &Self) {
+        assert_eq!(self.form_numbers, other.form_numbers);
+        for (own, other) in self.levels.iter().zip(&other.levels) {
+            assert_eq!(own.numbers, other.numbers);
+        }
     }
 
     /// The number of a form with its key, for one more brick.

@@ -13,7 +13,6 @@ use super::quad::overlaid;
 use super::sizes::Sizes;
 use crate::Topology;
 use crate::contact::SurfaceChange;
-use crate::cut::CutOutcome;
 
 /// See the module.
 #[derive(Clone)]
@@ -27,15 +26,21 @@ pub(super) struct Reversal {
 }
 
 impl Reversal {
-    /// An empty way back to this hierarchy from a cut that is about to change it.
-    pub(super) fn new(hierarchy: &Hierarchy, outcome: &CutOutcome) -> Self {
+    /// The way from this hierarchy to itself.
+    pub(super) fn none(hierarchy: &Hierarchy) -> Self {
+        Self::new(hierarchy, &[], false)
+    }
+
+    /// An empty way back to this hierarchy from a cut that is about to change it: the nodes that it touches, and whether it
+    /// may separate components.
+    pub(super) fn new(hierarchy: &Hierarchy, touched: &[u32], separates: bool) -> Self {
         let keeps = hierarchy.sizes();
         let known = |node: &u32| (*node as usize) < keeps.nodes;
         Self {
             cells: Vec::new(),
-            touched: outcome.touched.iter().copied().filter(known).collect(),
+            touched: touched.iter().copied().filter(known).collect(),
             change: HierarchyChange {
-                separates: outcome.components_near > 1,
+                separates,
                 levels: keeps
                     .levels
                     .iter()

@@ -5,8 +5,11 @@ use proptest::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use super::super::cut_preparer::Levels;
+use super::super::solver::Solver;
 use super::*;
-use crate::{BladePoint, CutStroke, Material, Vec3, block, cut};
+use crate::cut_history::CutHistory;
+use crate::{BladePoint, CutStroke, Material, Shape, Vec3, block, cut};
 
 const CELL: f64 = 4e-3;
 
@@ -154,15 +157,50 @@ proptest! {
                 let built = Hierarchy::new(&topology);
                 assert_same(&topology, &followed, &built);
                 assert_same(&topology, &applied, &built);
-                let derived = Construction::of(&topology, &followed);
-                for e in 0..followed.levels[0].corners.len() as u32 {
-                    assert_eq!(construction.cells.row(e), derived.cells.row(e));
-                }
-                assert_eq!(construction.element_of, derived.element_of);
-                for (known, derived) in construction.places.iter().zip(&derived.places) {
-                    assert_eq!(known.of, derived.of);
-                }
+                assert_derived(&construction, &topology, &followed);
             }
         }
     }
+
+    /// Also after undos, redos and resets, which change the levels instead of building them.
+    #[test]
+    fn returned_hierarchy_is_the_built_one(
+        steps in prop::collection::vec((0..9_u8, stroke()), 1..16),
+    ) {
+        let model = block([8, 8, 8], CELL, &Material::default(), 1);
+        let mut topology = Arc::new(Topology::new(Arc::new(model)));
+        let mut history = CutHistory::new(Arc::clone(&topology));
+        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        let mut preparer = solver.preparer(&topology, history.clone());
+        for (step, stroke) in steps {
+            let change = match step {
+                0..=3 => preparer.prepare(&stroke).ok(),
+                4..=5 => preparer.undo(),
+                6..=7 => preparer.redo().and_then(Result::ok),
+                _ => preparer.reset(),
+            };
+            let Some(change) = change else { continue };
+            assert!(matches!(change.levels, Levels::Changed(_)));
+            solver.succeed(&mut topology, &mut history, &mut shape, change);
+            let built = Hierarchy::new(&topology);
+            assert_same(&topology, &preparer.hierarchy, &built);
+            assert_same(&topology, &solver.hierarchy, &built);
+            assert_derived(&preparer.construction, &topology, &preparer.hierarchy);
+            assert_eq!(shape.displacement.len(), topology.node_count());
+        }
+    }
+}
+
+/// Asserts that followed data are those derived from the hierarchy.
+fn assert_derived(construction: &Construction, topology: &Topology, hierarchy: &Hierarchy) {
+    let derived = Construction::of(topology, hierarchy);
+    assert_eq!(construction.cells.rows(), derived.cells.rows());
+    for e in 0..hierarchy.levels[0].corners.len() as u32 {
+        assert_eq!(construction.cells.row(e), derived.cells.row(e));
+    }
+    assert_eq!(construction.element_of, derived.element_of);
+    for (known, derived) in construction.places.iter().zip(&derived.places) {
+        assert_eq!(known.of, derived.of);
+    }
+    construction.kinds.assert_same(&derived.kinds);
 }
