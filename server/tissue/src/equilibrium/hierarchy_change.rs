@@ -529,6 +529,7 @@ fn move_followers(
     for (&node, &entry) in entries {
         let known = (node as usize) < before.len();
         let from = known.then(|| before.element_of(node as usize)).flatten();
+        let from = from.filter(|&e| (e as usize) < nodes_of.rows());
         let to = (entry != FREE).then_some(entry / 32);
         if from == to {
             continue;
