@@ -1,7 +1,7 @@
-//! A cut, prepared outside the solver thread.
+//! A cut, an undo, a redo or a reset, prepared outside the solver thread.
 //!
 //! A [`CutPreparer`] cuts the topology and computes the change of bricks and levels on another thread. A [`PreparedCut`]
-//! then brings any tissue of that topology up to date, in a time that depends on the new faces alone.
+//! then brings any tissue of that topology up to date, in a time that depends on the changed faces alone.
 
 use std::sync::Arc;
 

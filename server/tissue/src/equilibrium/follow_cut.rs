@@ -4,6 +4,9 @@
 //! elements that change go to their children, at last as outdated forces of bricks, and the nodes and points there receive
 //! the displacements of the coarser levels. Afterwards new points and nodes copy those that they were split from. The state
 //! elsewhere stays, so no force far from the cut changes.
+//!
+//! An undo removes nodes and points. Nodes and points around then follow other points of the coarser levels, so the
+//! displacements of these count as received: no remaining node moves.
 
 use super::coarse_level::{CoarseLevel, NONE, invert, update_total};
 use super::cycle::Multigrid;

@@ -1,8 +1,8 @@
-//! Change of a hierarchy by a cut: everything around the new faces, and nothing else.
+//! Change of a hierarchy by a cut, an undo, a redo or a reset: everything around the faces, and nothing else.
 //!
 //! A [`CutPreparer`](super::CutPreparer) computes it once with its own hierarchy, and every solver of the same topology
-//! applies it to another. Its price depends on the new faces and not on the size of the model. Numbers of nodes, bricks,
-//! elements and points stay, new ones are appended.
+//! applies it to another. Its price depends on the faces and not on the size of the model. A cut keeps the numbers of
+//! nodes, bricks, elements and points, and appends new ones; an undo removes these (`reversal`).
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
