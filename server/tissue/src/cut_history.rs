@@ -44,6 +44,23 @@ impl Kept {
     }
 }
 
+/// Follows an undo, a redo or a reset change by change.
+pub(crate) trait Follower {
+    /// The topology is again that of the first `parts` parts of strokes.
+    fn rewind(&mut self, topology: &Topology, parts: usize);
+    /// Parts were repeated up to the stroke that is taken back: all nodes up to here stay.
+    fn reach(&mut self, topology: &Topology);
+    /// A further part was cut after the first `parts`.
+    fn advance(&mut self, topology: &Topology, parts: usize, outcome: CutOutcome);
+}
+
+/// Follows nothing.
+impl Follower for () {
+    fn rewind(&mut self, _: &Topology, _: usize) {}
+    fn reach(&mut self, _: &Topology) {}
+    fn advance(&mut self, _: &Topology, _: usize, _: CutOutcome) {}
+}
+
 impl CutHistory {
     /// No strokes.
     pub fn new(uncut: Arc<Topology>) -> Self {
@@ -97,6 +114,11 @@ impl CutHistory {
         &self.undone
     }
 
+    /// Whether an undo or a reset may return to the topology of the first `parts` parts.
+    pub(crate) fn returns_to(&self, parts: usize) -> bool {
+        parts == 0 || self.kept.iter().any(|kept| kept.parts == parts)
+    }
+
     /// Whether a stroke is in effect.
     pub fn can_undo(&self) -> bool {
         !self.done.is_empty()
@@ -121,10 +143,19 @@ impl CutHistory {
     /// Repeats the latest stroke that was taken back; `None` if there is none. The version of the topology rises by one. Of
     /// a stroke that others crossed, parts with nothing left to part are left out; an error if those are all.
     pub fn redo(&mut self, topology: &mut Arc<Topology>) -> Option<Result<CutOutcome, CutError>> {
+        self.redo_with(topology, &mut ())
+    }
+
+    /// [`redo`](Self::redo) with a follower.
+    pub(crate) fn redo_with(
+        &mut self,
+        topology: &mut Arc<Topology>,
+        follower: &mut impl Follower,
+    ) -> Option<Result<CutOutcome, CutError>> {
         let parts = self.undone.pop()?;
         let version = topology.version() + 1;
         let before = self.done.len();
-        let doubled = self.repeat(topology, &parts);
+        let doubled = self.repeat(topology, &parts, follower);
         if self.done.len() == before {
             self.undone.push(parts);
             return Some(Err(CutError::NothingNew));
@@ -136,6 +167,15 @@ impl CutHistory {
     /// Takes back the latest stroke in effect with all its parts; `None` if there is none. The version of the topology rises
     /// by one. Parts of other strokes that are left with nothing to part are left out.
     pub fn undo(&mut self, topology: &mut Arc<Topology>) -> Option<CutOutcome> {
+        self.undo_with(topology, &mut ())
+    }
+
+    /// [`undo`](Self::undo) with a follower.
+    pub(crate) fn undo_with(
+        &mut self,
+        topology: &mut Arc<Topology>,
+        follower: &mut impl Follower,
+    ) -> Option<CutOutcome> {
         let last = Arc::clone(self.done.last()?);
         let is_last = |part: &Arc<StrokePart>| Arc::ptr_eq(part, &last) || part.is_of_stroke(&last);
         let first = self.done.iter().position(is_last)?;
@@ -149,15 +189,27 @@ impl CutHistory {
         });
         self.begun = kept.number - 1;
         let (parts, mut by) = (kept.parts, kept.topology);
+        follower.rewind(&by, parts);
         let since = self.done.split_off(parts);
-        self.repeat(&mut by, &since);
-        let doubled = self.repeat(&mut by, &others);
+        self.repeat(&mut by, &since, follower);
+        follower.reach(&by);
+        let doubled = self.repeat(&mut by, &others, follower);
         self.undone.push(undone);
         Some(replace(topology, by, doubled))
     }
 
     /// Returns to the uncut tissue. Nothing can be undone or redone afterwards. The version of the topology rises.
     pub fn reset(&mut self, topology: &mut Arc<Topology>) -> CutOutcome {
+        self.reset_with(topology, &mut ())
+    }
+
+    /// [`reset`](Self::reset) with a follower.
+    pub(crate) fn reset_with(
+        &mut self,
+        topology: &mut Arc<Topology>,
+        follower: &mut impl Follower,
+    ) -> CutOutcome {
+        follower.rewind(&self.uncut, 0);
         *self = Self::new(Arc::clone(&self.uncut));
         replace(topology, Arc::clone(&self.uncut), Vec::new())
     }
@@ -167,11 +219,17 @@ impl CutHistory {
         &mut self,
         topology: &mut Arc<Topology>,
         parts: &[Arc<StrokePart>],
+        follower: &mut impl Follower,
     ) -> Vec<(u32, u32)> {
-        let outcomes = parts
-            .iter()
-            .map(|part| self.apply(topology, Arc::clone(part)));
-        outcomes.flatten().flat_map(|o| o.doubled).collect()
+        let mut doubled = Vec::new();
+        for part in parts {
+            let before = self.done.len();
+            if let Ok(outcome) = self.apply(topology, Arc::clone(part)) {
+                doubled.extend_from_slice(&outcome.doubled);
+                follower.advance(topology, before, outcome);
+            }
+        }
+        doubled
     }
 
     fn apply(

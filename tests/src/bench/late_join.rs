@@ -92,9 +92,12 @@ pub struct LateJoinReport {
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct UndoOfAll {
     pub strokes: usize,
-    /// Times of the undos, ms.
+    /// Times of the undos on the cut thread, ms.
     pub p50_ms: f64,
     pub max_ms: f64,
+    /// Times in which a tissue adopts them, ms.
+    pub adopt_p50_ms: f64,
+    pub adopt_max_ms: f64,
     /// Resident memory without a cut, with all cuts and after the undos, in units of 1,048,576 bytes.
     pub uncut_mb: Option<f64>,
     pub cut_mb: Option<f64>,
@@ -262,17 +265,23 @@ impl Session {
     }
 
     fn undo_all(&mut self) -> UndoOfAll {
-        let mut times = Vec::new();
+        let (mut times, mut adopted) = (Vec::new(), Vec::new());
         let mut began = Instant::now();
         while let Some(undone) = self.preparer.undo() {
-            self.tissue.succeed(undone.finish());
+            let undone = undone.finish();
             times.push(ms(began));
+            began = Instant::now();
+            let retired = self.tissue.succeed(undone);
+            adopted.push(ms(began));
+            drop(retired);
             began = Instant::now();
         }
         UndoOfAll {
             strokes: times.len(),
             p50_ms: quantile(&times, 0.5),
             max_ms: quantile(&times, 1.0),
+            adopt_p50_ms: quantile(&adopted, 0.5),
+            adopt_max_ms: quantile(&adopted, 1.0),
             uncut_mb: self.memory[0],
             cut_mb: self.memory[1],
             undone_mb: resident_mb(),
@@ -389,10 +398,12 @@ impl fmt::Display for LateJoinReport {
         let undo = &self.undo;
         writeln!(
             f,
-            "undo of all {} strokes: {:.1} ms (median), {:.1} ms (longest); memory {} MB uncut, {} cut, {} after; {}",
+            "undo of all {} strokes: {:.1} ms (median), {:.1} ms (longest) on the cut thread, {:.2} and {:.2} ms in the tissue; memory {} MB uncut, {} cut, {} after; {}",
             undo.strokes,
             undo.p50_ms,
             undo.max_ms,
+            undo.adopt_p50_ms,
+            undo.adopt_max_ms,
             mb(undo.uncut_mb),
             mb(undo.cut_mb),
             mb(undo.undone_mb),

@@ -223,7 +223,7 @@ impl Contacts {
         }
     }
 
-    fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         for &node in &self.nodes {
             self.place[node as usize] = NONE;
         }

@@ -16,7 +16,7 @@
 //! Results do not depend on the shape or history of the tree: they equal a test of every triangle's own box, in the
 //! order of their numbers.
 //!
-//! Memory: about 150 bytes per triangle and 8 per node; growth after cuts may double that.
+//! Memory: about 150 bytes per triangle and 12 per node; growth after cuts may double that.
 
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::math::Vector;
@@ -24,7 +24,7 @@ use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode, TraversalAction}
 
 use super::ball::Ball;
 use super::watched::Watched;
-use crate::cut::CutOutcome;
+use crate::equilibrium::overlaid;
 use crate::{Rows, Topology, Vec3};
 
 /// Margin of the watched region relative to the reach. A larger margin refits more triangles per step, a smaller one
@@ -44,7 +44,7 @@ fn node_triangles(topology: &Topology) -> Rows<u32> {
 }
 
 /// The surface around a cut, computed once for all indices of the topology.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(crate) struct SurfaceChange {
     /// Triangles around nodes, in the order of their numbers.
     around: Vec<(u32, Vec<u32>)>,
@@ -53,11 +53,11 @@ pub(crate) struct SurfaceChange {
 }
 
 impl SurfaceChange {
-    /// The change of a cut that made `topology`.
-    pub(crate) fn of(topology: &Topology, outcome: &CutOutcome) -> Self {
+    /// The change of a cut or an undo that made `topology` and touched these nodes.
+    pub(crate) fn of(topology: &Topology, touched: &[u32]) -> Self {
         let mut change = Self::default();
         let mut near = Vec::new();
-        for &node in &outcome.touched {
+        for &node in touched {
             let faces = topology.exposed_faces(node);
             let own = faces.flat_map(|position| [2 * position as u32, 2 * position as u32 + 1]);
             let mut own: Vec<u32> = own.collect();
@@ -65,15 +65,21 @@ impl SurfaceChange {
             own.retain(|&t| topology.triangle(t).contains(&node));
             own.sort_unstable();
             own.dedup();
-            if !own.is_empty() {
-                change.around.push((node, own));
-            }
+            change.around.push((node, own));
         }
         near.sort_unstable();
         near.dedup();
         let with_box = |t: u32| (t, rest_box(topology, &topology.triangle(t)));
         change.boxes = near.into_iter().map(with_box).collect();
         change
+    }
+
+    /// This change and a later one.
+    pub(crate) fn then(self, later: Self) -> Self {
+        Self {
+            around: overlaid(self.around, later.around),
+            boxes: overlaid(self.boxes, later.boxes),
+        }
     }
 }
 
@@ -101,8 +107,15 @@ impl SurfaceIndex {
         }
     }
 
-    /// Follows a cut: refits the boxes of changed triangles and inserts new ones.
+    /// Follows a cut or an undo: refits the boxes of changed triangles, removes those that are gone and inserts new ones.
     pub(crate) fn follow(&mut self, topology: &Topology, change: &SurfaceChange) {
+        let count = 2 * topology.exposed.faces.len() as u32;
+        let mut gone = count;
+        while self.tree.leaf_node(gone).is_some() {
+            self.tree.remove(gone);
+            gone += 1;
+        }
+        self.node_triangles.truncate(topology.node_count());
         for (node, row) in &change.around {
             self.node_triangles.set(*node, row);
         }

@@ -80,7 +80,8 @@ impl Shape {
     /// jumps. Call it once per cut, in order, with the topology as the cut left it. After a return to fewer cuts the
     /// displacements of the nodes that are gone are dropped.
     pub(crate) fn follow(&mut self, topology: &Topology, outcome: &CutOutcome) {
-        let remaining = topology.node_count() - outcome.doubled.len();
+        let first = outcome.doubled.first();
+        let remaining = first.map_or(topology.node_count(), |d| d.0 as usize);
         self.displacement.truncate(remaining);
         let taken: Vec<Vec3> = outcome
             .moved

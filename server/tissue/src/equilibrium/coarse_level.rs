@@ -49,6 +49,14 @@ impl List {
         self.member.resize(len, false);
     }
 
+    /// Drops the items from `len` on.
+    pub(super) fn shrink(&mut self, len: usize) {
+        if len < self.member.len() {
+            self.items.retain(|&item| (item as usize) < len);
+            self.member.truncate(len);
+        }
+    }
+
     #[inline]
     pub(super) fn insert(&mut self, item: u32) -> bool {
         let member = &mut self.member[item as usize];
@@ -224,6 +232,47 @@ impl CoarseLevel {
         ] {
             list.clear();
         }
+    }
+
+    /// Drops the elements and points from these numbers on.
+    pub(super) fn shrink(&mut self, elements: usize, points: usize) {
+        for list in [&mut self.set, &mut self.refined, &mut self.to_refine] {
+            list.shrink(elements);
+        }
+        for list in [
+            &mut self.points,
+            &mut self.loaded,
+            &mut self.corrected,
+            &mut self.outer_points,
+            &mut self.deferred_points,
+            &mut self.stiffened,
+        ] {
+            list.shrink(points);
+        }
+        for vectors in [
+            &mut self.e,
+            &mut self.d,
+            &mut self.b,
+            &mut self.r,
+            &mut self.outer_force,
+            &mut self.deferred_residual,
+            &mut self.step_correction,
+        ] {
+            vectors.truncate(points);
+        }
+        for totals in [&mut self.total, &mut self.applied, &mut self.prolongated] {
+            totals.truncate(points);
+        }
+        self.inside.truncate(points);
+        self.free.truncate(points);
+        self.added_bound.truncate(points);
+        self.inverse.truncate(points);
+        self.stiffness_of.truncate(elements);
+        self.pending.truncate(elements);
+        self.deferred_force.truncate(elements);
+        self.has_pending.truncate(elements);
+        self.deferred_square.truncate(elements);
+        self.deferred.retain(|d| (d.element as usize) < elements);
     }
 
     /// Flags elements with a corner whose total changed by more than `least` m along an axis since the last call.

@@ -29,6 +29,13 @@ impl Places {
         self.of.push(at);
     }
 
+    /// Removes the elements from `count` on.
+    pub(super) fn truncate(&mut self, count: usize) {
+        for (at, element) in self.of.drain(count..).zip(count as u32..) {
+            self.sorted.remove(&(at, element));
+        }
+    }
+
     /// The elements at a place, ascending.
     pub(super) fn at(&self, at: [i32; 3]) -> impl Iterator<Item = u32> + '_ {
         self.sorted.range((at, 0)..=(at, u32::MAX)).map(|e| e.1)

@@ -25,8 +25,11 @@ impl ContactSmoother {
         }
     }
 
-    /// Takes the bricks and nodes of a larger hierarchy from now on.
-    pub(super) fn grow(&mut self, hierarchy: &Hierarchy) {
+    /// Takes the bricks and nodes of a changed hierarchy from now on.
+    pub(super) fn follow(&mut self, hierarchy: &Hierarchy) {
+        self.bricks.clear();
+        self.seen.clear();
+        self.nodes.clear();
         self.bricks.grow(hierarchy.bricks.len());
         self.seen.grow(hierarchy.prolongation.len());
     }

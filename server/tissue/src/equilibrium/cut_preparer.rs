@@ -1,7 +1,7 @@
-//! A cut, prepared outside the solver thread.
+//! A cut, an undo, a redo or a reset, prepared outside the solver thread.
 //!
 //! A [`CutPreparer`] cuts the topology and computes the change of bricks and levels on another thread. A [`PreparedCut`]
-//! then brings any tissue of that topology up to date, in a time that depends on the new faces alone.
+//! then brings any tissue of that topology up to date, in a time that depends on the changed faces alone.
 
 use std::sync::Arc;
 
@@ -13,11 +13,13 @@ use super::cycle::Multigrid;
 use super::fine_level::{FineLevel, own_stiffness};
 use super::hierarchy::Hierarchy;
 use super::hierarchy_change::HierarchyChange;
+use super::journal::Journal;
 use super::reference_state::ReferenceState;
 use super::solver::Solver;
+use super::weight::weights;
 use crate::contact::SurfaceIndex;
 use crate::cut::{CutError, CutOutcome, StrokePart};
-use crate::cut_history::CutHistory;
+use crate::cut_history::{CutHistory, Follower};
 use crate::{Shape, Topology};
 
 /// Makes cuts ahead of the tissue, on another thread. It costs about 100 bytes per node.
@@ -25,9 +27,66 @@ use crate::{Shape, Topology};
 pub struct CutPreparer {
     topology: Arc<Topology>,
     history: CutHistory,
-    hierarchy: Hierarchy,
-    construction: Construction,
+    pub(super) hierarchy: Hierarchy,
+    pub(super) construction: Construction,
+    journal: Journal,
     reference_state: Option<Arc<ReferenceState>>,
+}
+
+/// Brings a hierarchy through an undo, a redo or a reset.
+struct Replay<'a> {
+    hierarchy: &'a mut Hierarchy,
+    construction: &'a mut Construction,
+    journal: &'a mut Journal,
+    /// All changes so far.
+    change: Option<HierarchyChange>,
+    is_rebuilt: bool,
+}
+
+impl Replay<'_> {
+    fn add(&mut self, change: HierarchyChange) {
+        self.change = Some(match self.change.take() {
+            Some(earlier) => {
+                let stays = earlier.stays;
+                HierarchyChange {
+                    stays,
+                    ..earlier.then(change)
+                }
+            }
+            None => change,
+        });
+    }
+}
+
+impl Follower for Replay<'_> {
+    fn rewind(&mut self, topology: &Topology, parts: usize) {
+        if let Some(way) = self.journal.take(parts, self.hierarchy) {
+            let change = self.hierarchy.go_back(self.construction, topology, way);
+            self.add(change);
+        } else {
+            *self.hierarchy = Hierarchy::new(topology);
+            *self.construction = Construction::of(topology, self.hierarchy);
+            *self.journal = Journal::new(parts);
+            self.is_rebuilt = true;
+        }
+    }
+
+    fn reach(&mut self, topology: &Topology) {
+        if let Some(change) = &mut self.change {
+            change.stays = topology.node_count();
+            change.outcomes.clear();
+        }
+    }
+
+    fn advance(&mut self, topology: &Topology, parts: usize, outcome: CutOutcome) {
+        let outcome = Arc::new(outcome);
+        let follow = Hierarchy::follow;
+        let (change, way) = follow(self.hierarchy, self.construction, topology, &outcome);
+        self.journal.push(parts, way);
+        if !self.is_rebuilt {
+            self.add(change);
+        }
+    }
 }
 
 /// A cut that a [`CutPreparer`] has made, for one [`Tissue`](crate::Tissue) to adopt.
@@ -35,7 +94,7 @@ pub struct PreparedCut {
     pub(crate) topology: Arc<Topology>,
     pub(crate) history: CutHistory,
     pub(crate) outcome: Arc<CutOutcome>,
-    levels: Levels,
+    pub(super) levels: Levels,
     reference_state: Option<Arc<ReferenceState>>,
 }
 
@@ -44,18 +103,25 @@ pub struct PreparedCut {
 #[must_use]
 pub struct TopologyCut<'a> {
     preparer: &'a mut CutPreparer,
-    outcome: Option<CutOutcome>,
+    rest: Option<Rest>,
+}
+
+/// What is missing to a prepared cut.
+enum Rest {
+    Levels(CutOutcome),
+    /// Levels follow an undo, a redo or a reset with the topology.
+    Nothing(Box<PreparedCut>),
 }
 
 /// Bricks and levels after a cut.
-enum Levels {
-    /// Changed around the new faces.
+pub(super) enum Levels {
+    /// Changed around the faces that were opened or closed.
     Changed(Arc<HierarchyChange>),
-    /// Built from scratch after an undo, a redo or a reset: a change can split levels, but not join them.
+    /// Built from scratch after an undo beyond the start of the journal.
     Rebuilt(Box<Rebuilt>),
 }
 
-struct Rebuilt {
+pub(super) struct Rebuilt {
     hierarchy: Hierarchy,
     fine: FineLevel,
     coarse: Multigrid,
@@ -95,47 +161,77 @@ impl CutPreparer {
     /// Makes the next cut in the topology. On an error nothing changes.
     pub fn cut(&mut self, part: impl Into<StrokePart>) -> Result<TopologyCut<'_>, CutError> {
         let outcome = self.history.cut(&mut self.topology, part.into())?;
-        Ok(self.unfinished(outcome))
+        Ok(self.unfinished(Rest::Levels(outcome)))
     }
 
     /// Takes back the latest stroke in effect; `None` if there is none.
     pub fn undo(&mut self) -> Option<TopologyCut<'_>> {
-        let outcome = self.history.undo(&mut self.topology)?;
-        Some(self.unfinished(outcome))
+        self.replay(|history, topology, replay| history.undo_with(topology, replay))
     }
 
     /// Repeats the latest stroke that was taken back; `None` if there is none.
     pub fn redo(&mut self) -> Option<Result<TopologyCut<'_>, CutError>> {
-        let outcome = self.history.redo(&mut self.topology)?;
-        Some(outcome.map(|outcome| self.unfinished(outcome)))
+        let mut error = None;
+        let redone = self.replay(|history, topology, replay| {
+            let outcome = history.redo_with(topology, replay)?;
+            outcome.map_err(|e| error = Some(e)).ok()
+        });
+        redone.map(Ok).or_else(|| error.map(Err))
     }
 
     /// Returns to the uncut tissue; `None` if no cut is in effect or can be redone.
     pub fn reset(&mut self) -> Option<TopologyCut<'_>> {
-        let has_cuts = self.history.can_undo() || self.history.can_redo();
-        has_cuts.then(|| {
-            let outcome = self.history.reset(&mut self.topology);
-            self.unfinished(outcome)
-        })
+        if !self.history.can_undo() && !self.history.can_redo() {
+            return None;
+        }
+        self.replay(|history, topology, replay| Some(history.reset_with(topology, replay)))
     }
 
-    fn unfinished(&mut self, outcome: CutOutcome) -> TopologyCut<'_> {
+    /// Makes a change to earlier or repeated cuts.
+    fn replay(
+        &mut self,
+        change: impl FnOnce(&mut CutHistory, &mut Arc<Topology>, &mut Replay<'_>) -> Option<CutOutcome>,
+    ) -> Option<TopologyCut<'_>> {
+        let mut replay = Replay {
+            hierarchy: &mut self.hierarchy,
+            construction: &mut self.construction,
+            journal: &mut self.journal,
+            change: None,
+            is_rebuilt: false,
+        };
+        let outcome = change(&mut self.history, &mut self.topology, &mut replay)?;
+        let change = replay.change;
+        let made = self.follow(Arc::new(outcome), change);
+        Some(self.unfinished(Rest::Nothing(Box::new(made))))
+    }
+
+    fn unfinished(&mut self, rest: Rest) -> TopologyCut<'_> {
         TopologyCut {
             preparer: self,
-            outcome: Some(outcome),
+            rest: Some(rest),
         }
     }
 
-    /// Brings the solver's data to the newest topology.
-    fn follow(&mut self, outcome: CutOutcome) -> PreparedCut {
-        let levels = if outcome.is_return() {
-            self.hierarchy = Hierarchy::new(&self.topology);
-            self.construction = Construction::of(&self.topology, &self.hierarchy);
-            self.rebuilt()
-        } else {
-            let (construction, topology) = (&mut self.construction, &self.topology);
-            let change = self.hierarchy.follow(construction, topology, &outcome);
-            Levels::Changed(Arc::new(change))
+    /// Brings bricks and levels to a cut.
+    fn cut_levels(&mut self, outcome: CutOutcome) -> PreparedCut {
+        let (construction, topology) = (&mut self.construction, &self.topology);
+        let outcome = Arc::new(outcome);
+        let (change, way) = self.hierarchy.follow(construction, topology, &outcome);
+        self.journal.push(self.history.done().len() - 1, way);
+        self.follow(outcome, Some(change))
+    }
+
+    /// The newest topology with the change that leads to it; without one all levels are new.
+    fn follow(&mut self, outcome: Arc<CutOutcome>, change: Option<HierarchyChange>) -> PreparedCut {
+        self.journal.thin(|parts| self.history.returns_to(parts));
+        let levels = match change {
+            Some(mut change) => {
+                if change.separates && self.topology.model().gravity != [0.0; 3] {
+                    change.weights = Some(Arc::new(weights(&self.topology)));
+                }
+                Levels::Changed(Arc::new(change))
+            }
+            None => self.rebuilt(),
         };
         if self.topology.model().gravity != [0.0; 3] {
             self.reference_state = ReferenceState::of(
@@ -145,7 +241,7 @@ impl CutPreparer {
                 self.reference_state.as_deref(),
             );
         }
-        self.prepared(Arc::new(outcome), levels)
+        self.prepared(outcome, levels)
     }
 
     fn rebuilt(&self) -> Levels {
@@ -190,16 +286,17 @@ impl TopologyCut<'_> {
 
     /// Brings bricks and levels to the cut topology.
     pub fn finish(mut self) -> PreparedCut {
-        let outcome = self.outcome.take();
-        self.preparer
-            .follow(outcome.expect("only this and drop take it"))
+        match self.rest.take().expect("only this and drop take it") {
+            Rest::Levels(outcome) => self.preparer.cut_levels(outcome),
+            Rest::Nothing(made) => *made,
+        }
     }
 }
 
 impl Drop for TopologyCut<'_> {
     fn drop(&mut self) {
-        if let Some(outcome) = self.outcome.take() {
-            self.preparer.follow(outcome);
+        if let Some(Rest::Levels(outcome)) = self.rest.take() {
+            self.preparer.cut_levels(outcome);
         }
     }
 }
@@ -217,8 +314,9 @@ impl Solver {
         topology.cell_index();
         CutPreparer {
             topology: Arc::clone(topology),
-            history,
             construction: Construction::of(topology, &self.hierarchy),
+            journal: Journal::new(history.done().len()),
+            history,
             hierarchy: self.hierarchy.clone(),
             reference_state: self.reference_state.clone(),
         }
@@ -234,7 +332,7 @@ impl Solver {
     ) -> Retired {
         let levels = match cut.levels {
             Levels::Changed(change) => {
-                self.follow(&cut.topology, shape, &cut.outcome, &change);
+                self.follow(&cut.topology, shape, &change);
                 None
             }
             Levels::Rebuilt(mut rebuilt) => {
@@ -285,10 +383,7 @@ impl Solver {
         self.fine.at_reference = at_reference;
         self.contact_smoother = ContactSmoother::new(&self.hierarchy);
         self.settling = Some(0);
-        // An undo removes the nodes at the end.
-        let nodes = self.fine.fixed.len();
-        self.held.retain(|&n| (n as usize) < nodes);
-        self.prescribed_from.retain(|&n, _| (n as usize) < nodes);
+        self.forget_removed(self.fine.fixed.len());
         for &node in &self.held {
             self.fine.fixed[node as usize] = true;
         }

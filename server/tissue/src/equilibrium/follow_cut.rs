@@ -4,6 +4,9 @@
 //! elements that change go to their children, at last as outdated forces of bricks, and the nodes and points there receive
 //! the displacements of the coarser levels. Afterwards new points and nodes copy those that they were split from. The state
 //! elsewhere stays, so no force far from the cut changes.
+//!
+//! An undo removes nodes and points. Nodes and points around then follow other points of the coarser levels, so the
+//! displacements of these count as received: no remaining node moves.
 
 use super::coarse_level::{CoarseLevel, NONE, invert, update_total};
 use super::cycle::Multigrid;
@@ -12,40 +15,66 @@ use super::hierarchy::{Hierarchy, Level};
 use super::hierarchy_change::{HierarchyChange, LevelChange};
 use super::quad::{ZERO, plus};
 use super::solver::Solver;
-use super::weight::weights;
-use crate::cut::CutOutcome;
+use super::weight::weight_of;
 use crate::{Shape, Topology, Vec3};
 
 impl Solver {
-    /// Follows a cut that made `topology`.
+    /// Follows a change that made `topology`: a cut, an undo, a redo or a reset.
     pub(super) fn follow(
         &mut self,
         topology: &Topology,
         shape: &mut Shape,
-        outcome: &CutOutcome,
         change: &HierarchyChange,
     ) {
+        self.forget_removed(change.stays);
         let (fine, coarse) = (&mut self.fine, &mut self.coarse);
+        let is_return = change.keeps.nodes < self.hierarchy.prolongation.len();
+        if is_return {
+            // Samples refer to nodes that may be gone.
+            fine.remove_contacts(&self.hierarchy, &self.contacts.nodes);
+            self.contacts.clear();
+        }
         fine.mark_applied(&self.hierarchy, coarse);
         coarse.clear_stiffness(&self.hierarchy);
         coarse.release_pending(&self.hierarchy, change, fine);
-        fine.bring_up_to_date(&self.hierarchy, coarse, change, &mut shape.displacement);
-        shape.follow(topology, outcome);
+        let u = &mut shape.displacement;
+        let current = fine.bring_up_to_date(&self.hierarchy, coarse, change, u);
+        u.truncate(change.stays);
+        for outcome in &change.outcomes {
+            shape.follow(topology, outcome);
+        }
         self.hierarchy.apply(change);
         for (l, grid) in coarse.grids.iter_mut().enumerate() {
+            let keeps = &change.keeps.levels[l];
+            grid.shrink(keeps.elements, keeps.points);
             grid.follow(&self.hierarchy, l, &change.levels[l]);
         }
         coarse.is_outer_restricted = false;
-        fine.follow(topology, &self.hierarchy, outcome, change);
-        let moved = outcome.moved.iter().map(|m| m.node);
-        for node in moved {
+        fine.follow(topology, &self.hierarchy, change);
+        if is_return {
+            fine.rebase(&self.hierarchy, coarse, change, &current);
+        }
+        let moved = change.outcomes.iter().flat_map(|o| &o.moved);
+        for node in moved.map(|m| m.node) {
             fine.displaced = fine.displaced.max(shape.displacement[node as usize].norm());
         }
-        self.contact_smoother.grow(&self.hierarchy);
+        self.contact_smoother.follow(&self.hierarchy);
         self.contacts.follow(topology, &change.surface);
         self.report.steady = false;
         self.dirty = true;
     }
+
+    /// Releases held nodes from this number on.
+    pub(super) fn forget_removed(&mut self, nodes: usize) {
+        self.held.retain(|&n| (n as usize) < nodes);
+        self.prescribed_from.retain(|&n, _| (n as usize) < nodes);
+    }
+}
+
+/// Nodes, and points of each level, that are up to date with the coarser levels.
+struct Current {
+    nodes: Vec<u32>,
+    points: Vec<Vec<u32>>,
 }
 
 impl Multigrid {
@@ -57,9 +86,8 @@ impl Multigrid {
         fine: &mut FineLevel,
     ) {
         for (l, level) in hierarchy.levels.iter().enumerate().rev() {
-            for element in change.levels[l].elements() {
-                let is_old = (element as usize) < level.corners.len();
-                if is_old && self.grids[l].has_pending[element as usize] {
+            for element in change.changed_or_removed(l, level) {
+                if self.grids[l].has_pending[element as usize] {
                     self.release(hierarchy, l, element, f32::INFINITY);
                     if l == 0 {
                         for &brick in level.children.row(element) {
@@ -74,18 +102,33 @@ impl Multigrid {
 }
 
 impl FineLevel {
-    /// Brings all nodes of changed and outdated bricks up to date with the coarse levels.
+    /// Brings all nodes of changed, removed and outdated bricks up to date with the coarse levels. Returns them with the
+    /// points that are then up to date.
     fn bring_up_to_date(
         &mut self,
         hierarchy: &Hierarchy,
         coarse: &mut Multigrid,
         change: &HierarchyChange,
         u: &mut [Vec3],
-    ) {
+    ) -> Current {
         let changed = change.bricks.iter().map(|b| b.0);
-        let bricks = changed.chain(self.stale.items.iter().copied());
+        let gone = change.keeps.bricks as u32..hierarchy.bricks.len() as u32;
+        let is_return = change.keeps.nodes < hierarchy.prolongation.len();
+        let bricks = changed.chain(gone).chain(self.stale.items.iter().copied());
         for brick in bricks.filter_map(|b| hierarchy.bricks.get(b as usize)) {
             for node in brick.nodes {
+                self.touched.insert(node);
+            }
+        }
+        if is_return {
+            // Operators of more nodes and points change than those of a cut.
+            let first = &hierarchy.levels[0];
+            let of_changed = change.changed_or_removed(0, first);
+            let known = |n: &u32| (*n as usize) < hierarchy.prolongation.len();
+            let entries = change.levels[0].entries.keys().copied().filter(known);
+            let of_changed = of_changed.into_iter();
+            let rows = of_changed.flat_map(|e| hierarchy.nodes_of.row(e).iter().copied());
+            for node in rows.chain(entries) {
                 self.touched.insert(node);
             }
         }
@@ -94,9 +137,17 @@ impl FineLevel {
         let of_node = |&n: &u32| hierarchy.prolongation.element_of(n as usize);
         let mut elements: Vec<u32> = nodes.iter().filter_map(of_node).collect();
         let mut of_levels = Vec::new();
-        for (level, change) in hierarchy.levels.iter().zip(&change.levels) {
-            elements.extend(change.elements());
-            let points = points_of(level, elements);
+        for (l, level) in hierarchy.levels.iter().enumerate() {
+            elements.extend(change.changed_or_removed(l, level));
+            let mut entries = Vec::new();
+            if let Some(above) = hierarchy.levels.get(l + 1).filter(|_| is_return) {
+                for parent in change.changed_or_removed(l + 1, above) {
+                    elements.extend_from_slice(above.children.row(parent));
+                }
+                let known = |p: &u32| (*p as usize) < level.points();
+                entries.extend(change.levels[l + 1].entries.keys().copied().filter(known));
+            }
+            let points = points_of(level, elements, entries);
             let above = points.iter().filter_map(|&p| level.element_above(p));
             elements = above.collect();
             of_levels.push(points);
@@ -111,19 +162,101 @@ impl FineLevel {
                 update_total(now, &mut grid.total[p], &mut grid.applied[p]);
             }
         }
-        for node in nodes {
+        for &node in &nodes {
             self.follow_coarser(hierarchy, coarse, u, node);
+        }
+        Current {
+            nodes,
+            points: of_levels,
+        }
+    }
+
+    /// After a return: counts the displacements of the coarser levels as received, with the operators as they are now, at the
+    /// nodes and points that were up to date before and at new ones.
+    fn rebase(
+        &mut self,
+        hierarchy: &Hierarchy,
+        coarse: &mut Multigrid,
+        change: &HierarchyChange,
+        current: &Current,
+    ) {
+        let of = |list: &[u32], keeps: usize, count: usize| -> Vec<u32> {
+            let kept = list.iter().copied().filter(|n| (*n as usize) < keeps);
+            kept.chain(keeps as u32..count as u32).collect()
+        };
+        let total = &coarse.grids[0].total;
+        for node in of(&current.nodes, change.keeps.nodes, self.applied.len()) {
+            let n = node as usize;
+            self.applied[n] = hierarchy.prolongation.interpolate_exactly(n, total);
+        }
+        for l in 0..current.points.len().saturating_sub(1) {
+            let (finer, coarser) = coarse.grids.split_at_mut(l + 1);
+            let (grid, above) = (&mut finer[l], &coarser[0]);
+            let keeps = change.keeps.levels[l].points;
+            for point in of(&current.points[l], keeps, grid.applied.len()) {
+                let p = point as usize;
+                let prolongation = &hierarchy.levels[l].prolongation;
+                grid.applied[p] = prolongation.interpolate_exactly(p, &above.total);
+            }
+        }
+    }
+
+    /// Drops nodes and bricks that a change removes.
+    fn shrink(&mut self, change: &HierarchyChange) {
+        let (nodes, bricks) = (change.keeps.nodes, change.keeps.bricks);
+        self.applied.truncate(nodes);
+        self.fixed.truncate(nodes);
+        self.own.truncate(nodes);
+        self.weights.truncate(change.stays);
+        self.r.truncate(nodes);
+        self.forces.truncate(bricks);
+        self.block_sum.truncate(bricks);
+        self.block_sum_at_rest.truncate(change.keeps.forms);
+        self.blocks_at_rest.truncate(change.keeps.forms);
+        for list in [
+            &mut self.nodes,
+            &mut self.unbalanced,
+            &mut self.below_threshold,
+            &mut self.disturbed,
+            &mut self.touched,
+            &mut self.moved_on,
+            &mut self.settled,
+        ] {
+            list.shrink(nodes);
+        }
+        for list in [
+            &mut self.set,
+            &mut self.left,
+            &mut self.stale,
+            &mut self.computed,
+        ] {
+            list.shrink(bricks);
+        }
+        self.required.shrink(change.keeps.levels[0].elements);
+    }
+
+    /// Follows a change of weights: without a new component a node hangs if its origin does.
+    fn follow_weights(&mut self, topology: &Topology, change: &HierarchyChange) {
+        if self.weights.is_empty() {
+            return;
+        }
+        if let Some(weights) = &change.weights {
+            self.weights.clone_from(weights);
+            return;
+        }
+        for (_, from) in change.outcomes.iter().flat_map(|o| &o.doubled) {
+            self.weights.push(self.weights[*from as usize]);
+        }
+        for &(node, _) in &change.own {
+            let weight = &mut self.weights[node as usize];
+            if *weight != ZERO {
+                *weight = weight_of(topology, node);
+            }
         }
     }
 
     /// Follows a change of the levels: new nodes and bricks, outdated forces of changed bricks, and an empty active set.
-    fn follow(
-        &mut self,
-        topology: &Topology,
-        hierarchy: &Hierarchy,
-        outcome: &CutOutcome,
-        change: &HierarchyChange,
-    ) {
+    fn follow(&mut self, topology: &Topology, hierarchy: &Hierarchy, change: &HierarchyChange) {
         let (nodes, bricks) = (topology.node_count(), hierarchy.bricks.len());
         for &node in &self.nodes.items {
             self.inside[node as usize] = 0;
@@ -134,18 +267,18 @@ impl FineLevel {
         self.set.clear();
         self.left.clear();
         self.increments.clear();
-        for &(new, from) in &outcome.doubled {
-            debug_assert_eq!(new as usize, self.applied.len());
-            self.applied.push(self.applied[from as usize]);
-            self.fixed.push(topology.is_pinned(new));
+        self.shrink(change);
+        let new = self.fixed.len() as u32..nodes as u32;
+        self.fixed.extend(new.map(|n| topology.is_pinned(n)));
+        self.applied.resize(nodes, [0.0; 3]);
+        for &(new, from) in change.outcomes.iter().flat_map(|o| &o.doubled) {
+            self.applied[new as usize] = self.applied[from as usize];
         }
         self.own.resize(nodes, 0.0);
         for &(node, stiffness) in &change.own {
             self.own[node as usize] = stiffness;
         }
-        if !self.weights.is_empty() {
-            self.weights = weights(topology);
-        }
+        self.follow_weights(topology, change);
         self.r.resize(nodes, ZERO);
         self.d.resize(nodes, ZERO);
         self.inverse.resize(nodes, [0.0; 6]);
@@ -260,165 +393,18 @@ impl CoarseLevel {
     }
 }
 
-/// The points of these elements, sorted.
-fn points_of(level: &Level, mut elements: Vec<u32>) -> Vec<u32> {
+/// The points of these elements, and further ones, sorted.
+fn points_of(level: &Level, mut elements: Vec<u32>, further: Vec<u32>) -> Vec<u32> {
     elements.sort_unstable();
     elements.dedup();
     let known = elements
         .iter()
         .filter_map(|&e| level.corners.get(e as usize));
-    let mut points: Vec<u32> = known.flatten().copied().collect();
+    let mut points: Vec<u32> = known.flatten().copied().chain(further).collect();
     points.sort_unstable();
     points.dedup();
     points
 }
 
 #[cfg(test)]
-mod tests {
-    use std::sync::Arc;
-
-    use super::super::PreparedCut;
-    use super::*;
-    use crate::cut_history::CutHistory;
-    use crate::{BladePoint, Budget, CutStroke, Material, Tool, block};
-
-    const CELL: f64 = 4e-3;
-
-    fn topology() -> Arc<Topology> {
-        let material = Material {
-            young_pa: 10e3,
-            density_kg_m3: 1000.0,
-            ..Material::default()
-        };
-        Arc::new(Topology::new(Arc::new(block(
-            [32, 16, 8],
-            CELL,
-            &material,
-            1,
-        ))))
-    }
-
-    /// A press that slides along the block, at step `k`.
-    fn tool(k: usize) -> Tool {
-        let depth = (0.3e-3 * k as f64).min(6e-3);
-        let x = 7.0 * CELL + 0.05e-3 * k as f64;
-        Tool::ball(1, Vec3::new(x, 8.0 * CELL, 8.0 * CELL + 8e-3 - depth), 8e-3)
-    }
-
-    fn slit(x: f64) -> CutStroke {
-        let point = |i: u32| BladePoint {
-            tip: Vec3::new(x * CELL, CELL * (4.0 + f64::from(i)), 4.1 * CELL),
-            axis: Vec3::new(0.3, 0.0, 1.0).normalize(),
-            depth_m: 0.03,
-        };
-        CutStroke {
-            points: (0..9).map(point).collect(),
-            width_m: 0.0,
-        }
-    }
-
-    fn hand() -> Budget<'static> {
-        Budget {
-            near: true,
-            ..Budget::new(2, 0.02)
-        }
-    }
-
-    fn pressed(topology: &Topology) -> (Solver, Shape) {
-        let (mut solver, mut shape) = (Solver::new(topology), Shape::rest(topology));
-        for k in 0..40 {
-            solver.step(topology, &mut shape, &[tool(k)], hand());
-        }
-        (solver, shape)
-    }
-
-    fn succeed(
-        solver: &mut Solver,
-        topology: &mut Arc<Topology>,
-        shape: &mut Shape,
-        cut: PreparedCut,
-    ) {
-        let mut history = CutHistory::new(Arc::clone(topology));
-        solver.succeed(topology, &mut history, shape, cut);
-    }
-
-    fn most(a: &[Vec3], b: &[Vec3]) -> f64 {
-        let apart = a.iter().zip(b).map(|(a, b)| (a - b).norm());
-        apart.fold(0.0, f64::max)
-    }
-
-    /// Under the tool, beside it and far from it.
-    #[test]
-    fn following_a_cut_moves_no_node() {
-        for x in [7.6, 10.4, 24.3] {
-            let mut topology = topology();
-            let (mut solver, mut shape) = pressed(&topology);
-            let mut preparer = solver.preparer(&topology, CutHistory::new(Arc::clone(&topology)));
-            let cut = preparer.prepare(&slit(x)).unwrap();
-            let (mut other, mut expected) = pressed(&topology);
-            other.prolongate_all(&mut expected);
-            expected.follow(&cut.topology, &cut.outcome);
-            succeed(&mut solver, &mut topology, &mut shape, cut);
-            solver.prolongate_all(&mut shape);
-            let moved = most(&shape.displacement, &expected.displacement);
-            assert!(moved < 1e-9, "{moved} m at {x}");
-        }
-    }
-
-    #[test]
-    fn equilibrium_after_cuts_is_that_of_a_new_solver() {
-        let mut topology = topology();
-        let (mut solver, mut shape) = pressed(&topology);
-        let mut preparer = solver.preparer(&topology, CutHistory::new(Arc::clone(&topology)));
-        for (i, x) in [7.6, 10.4, 24.3, 12.2].into_iter().enumerate() {
-            let cut = preparer.prepare(&slit(x)).unwrap();
-            succeed(&mut solver, &mut topology, &mut shape, cut);
-            for k in 40 + 5 * i..45 + 5 * i {
-                solver.step(&topology, &mut shape, &[tool(k)], hand());
-            }
-        }
-        let budget = || Budget::new(300, 1e-6);
-        solver.step(&topology, &mut shape, &[tool(60)], budget());
-        assert!(solver.report.residual < 1e-6, "{}", solver.report.residual);
-        let (mut new, mut expected) = (Solver::new(&topology), Shape::rest(&topology));
-        for k in 40..=60 {
-            new.step(&topology, &mut expected, &[tool(k)], Budget::new(30, 1e-3));
-        }
-        new.step(&topology, &mut expected, &[tool(60)], budget());
-        let force = |solver: &Solver| solver.report.reactions[0].force.norm();
-        let (a, b) = (force(&solver), force(&new));
-        assert!((a - b).abs() < 1e-2 * b, "{a} and {b} N");
-        assert!(solver.residual_over_all(&shape) < 1e-5);
-    }
-
-    /// The force of the hand's steps after cuts near the tool stays that of converged solves.
-    #[test]
-    fn quick_forces_after_cuts_are_converged_ones() {
-        let mut topology = topology();
-        let (mut solver, mut shape) = pressed(&topology);
-        let (mut full, mut converged) = pressed(&topology);
-        let mut preparer = solver.preparer(&topology, CutHistory::new(Arc::clone(&topology)));
-        let (mut squares, mut sum) = (0.0, 0.0);
-        for k in 40..140 {
-            if k % 20 == 10 {
-                let cut = preparer
-                    .prepare(&slit(8.3 + 0.07 * f64::from(k as u32)))
-                    .unwrap();
-                succeed(
-                    &mut full,
-                    &mut topology.clone(),
-                    &mut converged,
-                    preparer.repeat(&cut),
-                );
-                succeed(&mut solver, &mut topology, &mut shape, cut);
-            }
-            solver.step(&topology, &mut shape, &[tool(k)], hand());
-            full.step(&topology, &mut converged, &[tool(k)], Budget::new(60, 1e-3));
-            let force = |solver: &Solver| solver.report.reactions[0].force;
-            squares += (force(&solver) - force(&full)).norm_squared();
-            sum += force(&full).norm_squared();
-        }
-        let error = f64::sqrt(squares / sum);
-        assert!(error < 0.05, "{error}");
-    }
-}
+mod tests;

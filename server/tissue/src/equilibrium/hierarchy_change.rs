@@ -1,11 +1,12 @@
-//! Change of a hierarchy by a cut: everything around the new faces, and nothing else.
+//! Change of a hierarchy by a cut, an undo, a redo or a reset: everything around the faces, and nothing else.
 //!
 //! A [`CutPreparer`](super::CutPreparer) computes it once with its own hierarchy, and every solver of the same topology
-//! applies it to another. Its price depends on the new faces and not on the size of the model. Numbers of nodes, bricks,
-//! elements and points stay, new ones are appended.
+//! applies it to another. Its price depends on the faces and not on the size of the model. A cut keeps the numbers of
+//! nodes, bricks, elements and points, and appends new ones; an undo removes these (`reversal`).
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -19,28 +20,31 @@ use super::hierarchy::{
 };
 use super::kinds::{Numbered, Parts, set_numbered};
 use super::prolongation::{FREE, set};
+use super::quad::Quad;
 use super::recoarsen::{Cells, Changed, Recoarsened, recoarsen};
+use super::reversal::Reversal;
+use super::sizes::Sizes;
 use crate::Topology;
 use crate::cell::NO_CELL;
 use crate::contact::SurfaceChange;
 use crate::cut::CutOutcome;
 
 /// The change of one coarse level.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct LevelChange {
     /// Corners of elements, new ones included.
-    corners: Vec<(u32, [u32; 8])>,
+    pub(super) corners: Vec<(u32, [u32; 8])>,
     /// New elements: the element that each was split from, and its position in its parent.
-    new: Vec<(u32, u32, u8)>,
+    pub(super) new: Vec<(u32, u32, u8)>,
     /// Children of elements; on level 1 bricks.
-    children: Vec<(u32, Vec<u32>)>,
+    pub(super) children: Vec<(u32, Vec<u32>)>,
     /// Matrices of elements, and new matrices.
-    matrix: Vec<(u32, u32)>,
-    matrices: Numbered<Matrix>,
+    pub(super) matrix: Vec<(u32, u32)>,
+    pub(super) matrices: Numbered<Matrix>,
     /// The point that each new point was split from.
     pub(super) origins: Vec<u32>,
     /// Elements around points.
-    around: Vec<(u32, Vec<u32>)>,
+    pub(super) around: Vec<(u32, Vec<u32>)>,
     /// Diagonal bounds of points.
     pub(super) bounds: Vec<(u32, [f32; 6])>,
     /// Element and place of the points of the next finer level.
@@ -62,19 +66,40 @@ impl LevelChange {
     }
 }
 
-/// See the module.
-#[derive(Default)]
+/// See the module. First the items from these sizes on are removed, which an undo does; then items are set.
+#[derive(Clone, Default)]
 pub(crate) struct HierarchyChange {
+    pub(super) keeps: Sizes,
     /// Changed and new bricks with their elements, sorted by their numbers.
     pub(super) bricks: Vec<(u32, Brick, u32)>,
     /// New forms, sorted by their numbers.
     pub(super) forms: Numbered<Form>,
+    /// Whether forms are shared.
+    pub(super) shared: Vec<(u32, bool)>,
     /// Bricks around nodes.
-    around: Vec<(u32, Vec<u32>)>,
+    pub(super) around: Vec<(u32, Vec<u32>)>,
     /// Mean stiffness of nodes at rest, in N/m.
     pub(super) own: Vec<(u32, f64)>,
     pub(super) levels: Vec<LevelChange>,
     pub(super) surface: SurfaceChange,
+    /// Number of nodes whose displacement stays; outcomes of the cuts after them.
+    pub(super) stays: usize,
+    pub(super) outcomes: Vec<Arc<CutOutcome>>,
+    /// Whether a component may have become two, or two of them one.
+    pub(super) separates: bool,
+    /// Weights of all nodes, if `separates` under gravity.
+    pub(super) weights: Option<Arc<Vec<Quad>>>,
+}
+
+impl HierarchyChange {
+    /// Changed elements of a level, and those that the change removes.
+    pub(super) fn changed_or_removed(&self, l: usize, level: &Level) -> Vec<u32> {
+        let count = level.corners.len() as u32;
+        let mut list = self.levels[l].elements();
+        list.retain(|e| *e < count);
+        list.extend(self.keeps.levels[l].elements as u32..count);
+        list
+    }
 }
 
 /// The cells of a topology.
@@ -125,26 +150,32 @@ impl Cells for Elements<'_> {
 }
 
 impl Hierarchy {
-    /// Follows a cut of its topology. Returns the change, for other hierarchies.
+    /// Follows a cut of its topology. Returns the change, for other hierarchies, and the way back.
     pub(super) fn follow(
         &mut self,
         construction: &mut Construction,
         topology: &Topology,
-        outcome: &CutOutcome,
-    ) -> HierarchyChange {
+        outcome: &Arc<CutOutcome>,
+    ) -> (HierarchyChange, Reversal) {
         let level_1 = (
             &self.levels[0],
             &construction.places[0],
             &construction.cells,
         );
         let coarse = recoarsen(&Fine(topology), level_1, &parted_cells(topology, outcome));
+        let mut reversal = Reversal::new(self, &outcome.touched, outcome.components_near > 1);
         for element in &coarse.elements {
+            reversal.note_cells(construction, element.id);
             construction.set_cells(element.id, &element.cells);
         }
         let own = |&node: &u32| (node, own_stiffness(topology, node));
         let mut change = HierarchyChange {
             own: outcome.touched.par_iter().map(own).collect(),
-            surface: SurfaceChange::of(topology, outcome),
+            keeps: self.sizes(),
+            stays: self.prolongation.len(),
+            outcomes: vec![Arc::clone(outcome)],
+            separates: outcome.components_near > 1,
+            surface: SurfaceChange::of(topology, &outcome.touched),
             ..HierarchyChange::default()
         };
         let reshaped = outcome.reshaped.iter();
@@ -174,22 +205,32 @@ impl Hierarchy {
         {
             *entry = FREE;
         }
+        share_forms(&mut change);
+        reversal.note_bricks(self, &change);
         self.apply_bricks(&change);
-        self.apply_computed(0, first, &mut change);
+        self.apply_computed(0, first, &mut change, &mut reversal);
         for l in 1..self.levels.len() {
             let next = self.compute_level(construction, l, &change.levels[l - 1]);
-            self.apply_computed(l, next, &mut change);
+            self.apply_computed(l, next, &mut change, &mut reversal);
         }
-        change
+        (change, reversal)
     }
 
     /// Applies the change of a level and adds its bounds.
-    fn apply_computed(&mut self, l: usize, mut level: LevelChange, change: &mut HierarchyChange) {
+    fn apply_computed(
+        &mut self,
+        l: usize,
+        mut level: LevelChange,
+        change: &mut HierarchyChange,
+        reversal: &mut Reversal,
+    ) {
+        reversal.note_level(self, l, &level);
         self.apply_level(l, &level);
         let now = &mut self.levels[l];
         let corners = level.matrix.iter().flat_map(|m| now.corners[m.0 as usize]);
         for point in sorted(level.points().chain(corners)) {
             let bound = now.bound_of(point);
+            reversal.note_bound(now, l, point);
             set(&mut now.bound, point, bound);
             level.bounds.push((point, bound));
         }
@@ -382,6 +423,7 @@ impl Hierarchy {
 
     /// Applies a change that another hierarchy of the same topology has computed.
     pub(super) fn apply(&mut self, change: &HierarchyChange) {
+        self.truncate(&change.keeps);
         self.apply_bricks(change);
         for (l, level) in change.levels.iter().enumerate() {
             self.apply_level(l, level);
@@ -391,15 +433,13 @@ impl Hierarchy {
     fn apply_bricks(&mut self, change: &HierarchyChange) {
         for (number, form) in &change.forms {
             set_numbered(&mut self.forms, *number, form);
-            set(&mut self.shared, *number, false);
         }
-        let mut used = vec![false; change.forms.len()];
+        for &(form, is_shared) in &change.shared {
+            set(&mut self.shared, form, is_shared);
+        }
         for &(id, brick, element) in &change.bricks {
             set(&mut self.bricks, id, brick);
             set(&mut self.element_of, id, element);
-            let new = change.forms.binary_search_by_key(&brick.form, |f| f.0);
-            let is_used = new.map_or(true, |new| std::mem::replace(&mut used[new], true));
-            self.shared[brick.form as usize] |= is_used;
         }
         for (node, row) in &change.around {
             self.around.set(*node, row);
@@ -477,6 +517,7 @@ fn move_followers(
     for (&node, &entry) in entries {
         let known = (node as usize) < before.len();
         let from = known.then(|| before.element_of(node as usize)).flatten();
+        let from = from.filter(|&e| (e as usize) < nodes_of.rows());
         let to = (entry != FREE).then_some(entry / 32);
         if from == to {
             continue;
@@ -496,6 +537,18 @@ fn move_followers(
     for (element, row) in rows {
         nodes_of.set(element, &row);
     }
+}
+
+/// Notes the forms of changed bricks that several bricks share from now on.
+fn share_forms(change: &mut HierarchyChange) {
+    let mut shared: BTreeMap<u32, Option<bool>> =
+        change.forms.iter().map(|form| (form.0, None)).collect();
+    for (_, brick, _) in &change.bricks {
+        let is_shared = shared.entry(brick.form).or_insert(Some(true));
+        *is_shared = Some(is_shared.is_some());
+    }
+    let shared = shared.into_iter();
+    change.shared = shared.map(|(f, is)| (f, is.unwrap_or(false))).collect();
 }
 
 #[cfg(test)]

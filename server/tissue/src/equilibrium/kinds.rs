@@ -1,6 +1,6 @@
 //! Forms and matrices that equal bricks and equal elements share.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use pulp::{Arch, Simd, WithSimd};
@@ -12,12 +12,12 @@ use super::lanes::LANES;
 
 /// Numbers of things that bricks or elements share, by their keys. A number that nothing uses any more is given to the
 /// next new thing: cuts replace forms all the time.
-#[derive(Clone)]
+#[derive(Clone, Debug, PartialEq)]
 struct Numbers<K> {
     known: BTreeMap<K, u32>,
     keys: Vec<Option<K>>,
     uses: Vec<u32>,
-    unused: Vec<u32>,
+    unused: BTreeSet<u32>,
 }
 
 impl<K> Default for Numbers<K> {
@@ -26,7 +26,7 @@ impl<K> Default for Numbers<K> {
             known: BTreeMap::new(),
             keys: Vec::new(),
             uses: Vec::new(),
-            unused: Vec::new(),
+            unused: BTreeSet::new(),
         }
     }
 }
@@ -58,7 +58,7 @@ impl<K: Clone + Ord> Numbers<K> {
             self.uses[number as usize] += 1;
             return (number, false);
         }
-        let number = self.unused.pop().unwrap_or_else(|| {
+        let number = self.unused.pop_first().unwrap_or_else(|| {
             self.keys.push(None);
             self.uses.push(0);
             self.keys.len() as u32 - 1
@@ -77,8 +77,26 @@ impl<K: Clone + Ord> Numbers<K> {
             if let Some(key) = self.keys[number as usize].take() {
                 self.known.remove(&key);
             }
-            self.unused.push(number);
+            self.unused.insert(number);
         }
+    }
+
+    /// Adds a use of a number by a key that had it before.
+    fn take_back(&mut self, number: u32, key: K) {
+        self.unused.remove(&number);
+        let n = number as usize;
+        self.uses[n] += 1;
+        if self.keys[n].is_none() {
+            self.keys[n] = Some(key.clone());
+            self.known.insert(key, number);
+        }
+    }
+
+    /// Removes the numbers from `count` on, which nothing uses.
+    fn truncate(&mut self, count: usize) {
+        self.unused.split_off(&(count as u32));
+        self.keys.truncate(count);
+        self.uses.truncate(count);
     }
 }
 
@@ -115,6 +133,20 @@ impl LevelKinds {
     pub(super) fn release(&mut self, matrix: u32) {
         self.numbers.release(matrix);
     }
+
+    /// Adds an element with these parts that had this matrix before.
+    pub(super) fn take_back(&mut self, number: u32, parts: Parts) {
+        self.numbers.take_back(number, parts);
+    }
+
+    /// Returns to the first `count` matrices, some of which were others since.
+    pub(super) fn restore(&mut self, count: usize, changed: &Numbered<Matrix>) {
+        self.matrices.truncate(count);
+        self.numbers.truncate(count);
+        for (number, matrix) in changed {
+            set_numbered(&mut self.matrices, *number, matrix);
+        }
+    }
 }
 
 /// Parts of an element: forms and fixed nodes of its bricks, or matrices and octants of its children.
@@ -146,6 +178,15 @@ impl Kinds {
         });
     }
 
+    /// Asserts equal numbers of forms and matrices.
+    #[cfg(test)]
+    pub(super) fn assert_same(&self, other: &Self) {
+        assert_eq!(self.form_numbers, other.form_numbers);
+        for (own, other) in self.levels.iter().zip(&other.levels) {
+            assert_eq!(own.numbers, other.numbers);
+        }
+    }
+
     /// The number of a form with its key, for one more brick.
     pub(super) fn form(&mut self, form: &Arc<Form>, key: u128) -> u32 {
         let (number, is_new) = self.form_numbers.take(&key);
@@ -159,6 +200,21 @@ impl Kinds {
     /// Ends the use of a form by a brick.
     pub(super) fn release_form(&mut self, number: u32) {
         self.form_numbers.release(number);
+    }
+
+    /// Adds a brick that had this form before.
+    pub(super) fn take_form_back(&mut self, number: u32) {
+        let key = self.forms[number as usize].key();
+        self.form_numbers.take_back(number, key);
+    }
+
+    /// Returns to the first `count` forms, some of which were others since.
+    pub(super) fn restore_forms(&mut self, count: usize, changed: &Numbered<Form>) {
+        self.forms.truncate(count);
+        self.form_numbers.truncate(count);
+        for (number, form) in changed {
+            set_numbered(&mut self.forms, *number, form);
+        }
     }
 
     /// The forms since the last change, sorted by their numbers.

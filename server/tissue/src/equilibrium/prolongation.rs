@@ -86,6 +86,12 @@ impl Prolongation {
         set(&mut self.corners, element, corners);
     }
 
+    /// Removes the points and elements from these numbers on.
+    pub(crate) fn truncate(&mut self, points: usize, elements: usize) {
+        self.entries.truncate(points);
+        self.corners.truncate(elements);
+    }
+
     /// Makes room for the points and elements that cuts will add.
     pub(crate) fn reserve(&mut self) {
         reserve(&mut self.entries);
@@ -95,6 +101,11 @@ impl Prolongation {
     /// Number of points of the finer level.
     pub(crate) fn len(&self) -> usize {
         self.entries.len()
+    }
+
+    /// The entry of a point.
+    pub(crate) fn entry(&self, point: u32) -> u32 {
+        self.entries[point as usize]
     }
 
     /// The coarse element that a point follows.

@@ -30,6 +30,14 @@ pub(crate) fn reserve<T>(values: &mut Vec<T>) {
     }
 }
 
+/// The items of both lists, sorted by their numbers; a later item replaces an earlier one.
+pub(crate) fn overlaid<T>(earlier: Vec<(u32, T)>, mut later: Vec<(u32, T)>) -> Vec<(u32, T)> {
+    later.extend(earlier);
+    later.sort_by_key(|item| item.0);
+    later.dedup_by_key(|item| item.0);
+    later
+}
+
 /// A vector of `len` copies in committed memory. `vec!` of zeros commits pages at the first write, which made the first
 /// touch of a tool a third slower.
 pub(crate) fn laid_out<T: Clone>(value: T, len: usize) -> Vec<T> {

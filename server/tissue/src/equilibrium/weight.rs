@@ -17,15 +17,19 @@ pub(super) fn weights(topology: &Topology) -> Vec<Quad> {
     let cells = (0..topology.cell_count() as u32).map(|c| topology.corners(c));
     let hangs = hanging(cells, &pinned);
     let of = |node: u32| {
-        let mut weight = ZERO;
         if hangs[node as usize] {
-            for a in 0..3 {
-                weight[a] = (topology.mass(node) * gravity[a]) as f32;
-            }
+            weight_of(topology, node)
+        } else {
+            ZERO
         }
-        weight
     };
     all.map(of).collect()
+}
+
+/// Weight of a node in N, if its component hangs.
+pub(super) fn weight_of(topology: &Topology, node: u32) -> Quad {
+    let [x, y, z] = topology.model().gravity;
+    [x, y, z, 0.0].map(|g| (topology.mass(node) * g) as f32)
 }
 
 impl Model {

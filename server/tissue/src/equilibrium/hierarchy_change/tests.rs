@@ -5,8 +5,12 @@ use proptest::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use super::super::cut_preparer::{Levels, TopologyCut};
+use super::super::solver::Solver;
+use super::super::weight::weights;
 use super::*;
-use crate::{BladePoint, CutStroke, Material, Vec3, block, cut};
+use crate::cut_history::CutHistory;
+use crate::{BladePoint, CutStroke, Material, Shape, StrokePart, Vec3, block, cut};
 
 const CELL: f64 = 4e-3;
 
@@ -148,21 +152,99 @@ proptest! {
         let mut construction = Construction::of(&topology, &followed);
         let mut applied = followed.clone();
         for stroke in strokes {
-            if let Ok(outcome) = cut(&mut topology, &stroke) {
-                let change = followed.follow(&mut construction, &topology, &outcome);
+            if let Ok(outcome) = cut(&mut topology, &stroke).map(Arc::new) {
+                let (change, _) = followed.follow(&mut construction, &topology, &outcome);
                 applied.apply(&change);
                 let built = Hierarchy::new(&topology);
                 assert_same(&topology, &followed, &built);
                 assert_same(&topology, &applied, &built);
-                let derived = Construction::of(&topology, &followed);
-                for e in 0..followed.levels[0].corners.len() as u32 {
-                    assert_eq!(construction.cells.row(e), derived.cells.row(e));
-                }
-                assert_eq!(construction.element_of, derived.element_of);
-                for (known, derived) in construction.places.iter().zip(&derived.places) {
-                    assert_eq!(known.of, derived.of);
-                }
+                assert_derived(&construction, &topology, &followed);
             }
         }
     }
+
+    /// Also after undos, redos and resets, which change the levels instead of building them.
+    #[test]
+    fn returned_hierarchy_is_the_built_one(
+        steps in prop::collection::vec((0..9_u8, stroke(), 0..4_u64), 1..20),
+    ) {
+        let mut model = block([8, 8, 8], CELL, &Material::default(), 1);
+        model.gravity = [0.0, 0.0, -1.0];
+        let mut topology = Arc::new(Topology::new(Arc::new(model)));
+        let mut history = CutHistory::new(Arc::clone(&topology));
+        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        let mut preparer = solver.preparer(&topology, history.clone());
+        for (step, stroke, number) in steps {
+            let change = match step {
+                0..=3 => {
+                    // Parts of two strokes alternate.
+                    let stroke = StrokePart::from(&stroke);
+                    let number = (number < 2).then_some(number);
+                    preparer.prepare(StrokePart { stroke: number, ..stroke }).ok()
+                }
+                4..=5 => preparer.undo().map(TopologyCut::finish),
+                6..=7 => preparer.redo().and_then(Result::ok).map(TopologyCut::finish),
+                _ => preparer.reset().map(TopologyCut::finish),
+            };
+            let Some(change) = change else { continue };
+            assert!(matches!(change.levels, Levels::Changed(_)));
+            solver.succeed(&mut topology, &mut history, &mut shape, change);
+            let built = Hierarchy::new(&topology);
+            assert_same(&topology, &preparer.hierarchy, &built);
+            assert_same(&topology, &solver.hierarchy, &built);
+            assert_derived(&preparer.construction, &topology, &preparer.hierarchy);
+            assert_eq!(shape.displacement.len(), topology.node_count());
+            assert_eq!(solver.fine.weights, weights(&topology));
+        }
+    }
+}
+
+/// Also where the history has no copy of the topology any more and repeats strokes.
+#[test]
+fn undos_of_many_strokes_build_no_levels() {
+    let model = block([40, 4, 4], CELL, &Material::default(), 1);
+    let mut topology = Arc::new(Topology::new(Arc::new(model)));
+    let mut history = CutHistory::new(Arc::clone(&topology));
+    let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+    let mut preparer = solver.preparer(&topology, history.clone());
+    let mut counts = Vec::new();
+    for x in 0..12 {
+        let point = |y: u32| BladePoint {
+            tip: Vec3::new(2.4 + 3.1 * f64::from(x), f64::from(y), 1.2) * CELL,
+            axis: Vec3::z(),
+            depth_m: 0.03,
+        };
+        counts.push(topology.node_count());
+        let points = (0..5).map(point).collect();
+        let width_m = 0.0;
+        let cut = preparer.prepare(&CutStroke { points, width_m }).unwrap();
+        solver.succeed(&mut topology, &mut history, &mut shape, cut);
+    }
+    for (n, u) in shape.displacement.iter_mut().enumerate() {
+        u.x = 1e-6 * n as f64;
+    }
+    let displaced = shape.clone();
+    while let Some(undone) = preparer.undo().map(TopologyCut::finish) {
+        assert!(matches!(undone.levels, Levels::Changed(_)));
+        solver.succeed(&mut topology, &mut history, &mut shape, undone);
+        assert_same(&topology, &solver.hierarchy, &Hierarchy::new(&topology));
+        assert_eq!(topology.node_count(), counts.pop().unwrap());
+        let kept = &displaced.displacement[..topology.node_count()];
+        assert_eq!(shape.displacement, kept);
+    }
+    assert_eq!(counts, []);
+}
+
+/// Asserts that followed data are those derived from the hierarchy.
+fn assert_derived(construction: &Construction, topology: &Topology, hierarchy: &Hierarchy) {
+    let derived = Construction::of(topology, hierarchy);
+    assert_eq!(construction.cells.rows(), derived.cells.rows());
+    for e in 0..hierarchy.levels[0].corners.len() as u32 {
+        assert_eq!(construction.cells.row(e), derived.cells.row(e));
+    }
+    assert_eq!(construction.element_of, derived.element_of);
+    for (known, derived) in construction.places.iter().zip(&derived.places) {
+        assert_eq!(known.of, derived.of);
+    }
+    construction.kinds.assert_same(&derived.kinds);
 }
