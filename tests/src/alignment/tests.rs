@@ -53,7 +53,7 @@ fn measurement_covers_all_of_a_recorded_network() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("trace.csv");
     let over_trace = |seconds: u32| {
-        let rows = (0..seconds).map(|s| format!("{}000,30,0\n", s));
+        let rows = (0..seconds).map(|s| format!("{s}000,30,0\n"));
         let text = format!("time_ms,delay_ms,lost\n{}", rows.collect::<String>());
         std::fs::write(&file, text).unwrap();
         let text = "name = \"recorded\"\n[down]\ntrace = \"trace.csv\"\n";
