@@ -9,7 +9,8 @@
 //!
 //! Each estimate is weighted by its inverse variance. The variance of the mean is the scatter over n;
 //! that of the band follows from the distances between the fastest packets. A queue on one direction
-//! biases the mean and also increases its scatter, so that the band dominates.
+//! biases the mean. The bias is estimated from the deviations of both directions and added to the variance,
+//! so that the band dominates.
 //!
 //! Over a short history any scatter looks like drift. The slope of the mean is therefore regularised:
 //! the ratio of the scatter to the usual crystal drift is added to its normal equation. A burst delays
@@ -137,11 +138,31 @@ impl Answers<'_> {
         let alike: f64 = points.windows(2).map(|w| off(&w[0]) * off(&w[1])).sum();
         let likeness = if squares > 0.0 { alike / squares } else { 0.0 };
         let likeness = likeness.clamp(0.0, 0.99);
+        let variance_us2 = scatter_us2 / n * (1.0 + likeness) / (1.0 - likeness);
+        // Half the difference of two deviations has half the variance of the mean; two standard errors are noise.
+        let bias_us2 = self.asymmetry_us(origin, slope).powi(2) - 2.0 * variance_us2;
         Mean {
             middle_us: reference as f64 + x0 - slope * t0,
-            variance_us2: scatter_us2 / n * (1.0 + likeness) / (1.0 - likeness),
+            variance_us2: variance_us2 + bias_us2.max(0.0),
             slope,
         }
+    }
+
+    /// The bias of the mean by unequal queues, estimated: half the difference between the standard deviations of the
+    /// directions. The mean delay above the minimum is the standard deviation for an exponential tail.
+    fn asymmetry_us(&self, origin: ClientTime, slope: f64) -> f64 {
+        let deviation_us = |of: &dyn Fn(&Measurement) -> i64| {
+            let reference = self.answers.back().map_or(0, of);
+            let level_us = |m: &Measurement| {
+                let leaned = slope * (m.at - origin).as_micros() as f64;
+                of(m).saturating_sub(reference) as f64 - leaned
+            };
+            let n = self.answers.len().max(1) as f64;
+            let mean_us = self.answers.iter().map(level_us).sum::<f64>() / n;
+            let squares = (self.answers.iter()).map(|m| (level_us(m) - mean_us).powi(2));
+            (squares.sum::<f64>() / n).sqrt()
+        };
+        0.5 * (deviation_us(&|m| m.above_us) - deviation_us(&|m| m.below_us))
     }
 
     /// The distance of the fastest packet of a direction from the minimum delay: the mean distance

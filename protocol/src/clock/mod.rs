@@ -16,11 +16,12 @@
 //! estimate the skew of one direction by a linear programme: the nearest line under all delays. Using
 //! both directions and the middle of the band is our own. Slower packets do not touch the band, so that
 //! a path may become slower and faster again. Under jitter without a sharp minimum the mean of all
-//! answers is more precise and counts instead (`line`). After the first lock the map never steps:
-//! corrections are slewed by at most [`SLEW_MAX`].
+//! answers is more precise and counts instead (`line`). After the first lock corrections are slewed by
+//! at most [`SLEW_MAX`].
 //!
 //! A constant asymmetry of the path can not be distinguished from an offset; the error bound includes
-//! it. An answer that no offset within the bounds explains means that one of the two clocks was set.
+//! it. An answer that no offset within the bounds explains means that one of the two clocks was set, or that
+//! the map was locked during a stall.
 //! After [`STEP_REPLIES`] such answers the estimate restarts, without a map until it is locked, and
 //! increments [`ClockEstimate::steps`]. A tool in contact must then let go, because no slew covers the
 //! step.
@@ -63,6 +64,9 @@ pub const LOCK_REPLIES: usize = 8;
 
 /// Measurements kept; at 10 Hz [`DRIFT_WINDOW`] needs 400.
 const KEPT_MAX: usize = 512;
+
+/// Fractional part of the golden ratio, whose multiples are spread evenly.
+const GOLDEN: f64 = 0.618_033_988_749_895;
 
 /// The map from the client's clock to the server's and back, valid until the next one replaces it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -137,6 +141,13 @@ impl ClockEstimate {
         }
     }
 
+    /// The time from the last probe to the next: half to three halves of a period, in a golden-ratio sequence. Probes in
+    /// step with the schedule of a radio link would all wait equally long, and none would be fast.
+    pub fn probe_pause(&self, period: Span) -> Span {
+        let share = (f64::from(self.last_probe) * GOLDEN).fract();
+        Span::from_micros((period.as_micros() as f64 * (0.5 + share)) as i64)
+    }
+
     /// Takes an answer that arrived now. Returns `None` until the clock is locked, and for an answer
     /// that does not match a probe.
     pub fn handle_reply(&mut self, reply: Reply, now: ClientTime) -> Option<ClockMap> {
@@ -177,7 +188,8 @@ impl ClockEstimate {
         self.update(now)
     }
 
-    /// Whether no offset within the bounds explains a measurement.
+    /// Whether no offset within the bounds explains a measurement, or none that the map reaches by slewing for
+    /// [`DRIFT_WINDOW`]: a map that was locked during a stall can be wrong by half of it.
     fn contradicts(&self, m: &Measurement) -> bool {
         let far = |offset_us: f64, bound_us: f64| {
             (m.offset_us() - offset_us).abs() > bound_us + (m.rtt_us / 2 + 1) as f64
@@ -186,7 +198,8 @@ impl ClockEstimate {
             (Some(map), Some(last)) => {
                 let since_us = (m.at - last.at).as_micros().unsigned_abs() as f64;
                 let bound_us = map.error_bound.as_micros() as f64 + DRIFT_MAX * since_us;
-                far(map.offset_at(m.at), bound_us)
+                let slewed_us = SLEW_MAX * DRIFT_WINDOW.as_micros() as f64;
+                far(map.offset_at(m.at), bound_us.min(slewed_us))
             }
             (None, Some(last)) => {
                 let since_us = (m.at - last.at).as_micros().unsigned_abs() as f64;

@@ -357,11 +357,11 @@ impl ClientSession {
                     self.pending.probe = true;
                     let locked = self.clock.map().is_some();
                     self.probe_due = now
-                        + if locked {
+                        + self.clock.probe_pause(if locked {
                             PROBE_PERIOD
                         } else {
                             PROBE_PERIOD_FIRST
-                        };
+                        });
                 }
                 if now >= self.report_due {
                     self.report_due = now + DELAY_REPORT_PERIOD;

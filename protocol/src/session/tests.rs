@@ -379,7 +379,7 @@ fn motion_over_a_bad_link_is_shown_within_a_tenth_of_a_millimetre() {
         );
         let client = pair.client.stats(pair.client_now());
         let out = 1.0 - client.acknowledged as f64 / client.sent as f64;
-        assert!((0.0..0.12).contains(&out), "{out}");
+        assert!((0.0..0.14).contains(&out), "{out}");
         assert!(stats.noise.duplicate > 0 && stats.noise.malformed == 0);
     }
 }

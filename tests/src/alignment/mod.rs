@@ -32,6 +32,9 @@ use two_sites::{Moment, TwoSites};
 pub const WARM_UP_US: i64 = 10_000_000;
 pub const COUNTED_US: i64 = 60_000_000;
 
+/// The longest measurement over a recorded network, microseconds: 15 minutes have 900,000 moments.
+const COUNTED_MAX_US: i64 = 900_000_000;
+
 /// Maximum 95th percentile of a safe disagreement, millimetres.
 pub const SAFE_MM: f64 = 0.1;
 
@@ -174,10 +177,18 @@ pub struct Alignment {
 }
 
 impl Alignment {
+    /// Length of the measurement, microseconds: all of a recorded network, so that seeds differ by its beginning only.
+    pub fn counted_us(&self) -> i64 {
+        let trace_us = self.profile.trace_period_us();
+        let trace_us = trace_us.map_or(0, |us| i64::try_from(us).unwrap_or(i64::MAX));
+        trace_us.clamp(COUNTED_US, COUNTED_MAX_US)
+    }
+
     pub fn moments(&self, mode: Mode) -> Vec<Moment> {
-        let mut moments = Vec::with_capacity((COUNTED_US / 1000) as usize);
+        let counted_us = self.counted_us();
+        let mut moments = Vec::with_capacity((counted_us / 1000) as usize);
         self.simulation(mode)
-            .run(WARM_UP_US, WARM_UP_US + COUNTED_US, &mut |m| {
+            .run(WARM_UP_US, WARM_UP_US + counted_us, &mut |m| {
                 moments.push(m);
             });
         moments
@@ -203,7 +214,7 @@ impl Alignment {
     /// Number of samples delivered to the other site. Counting stops after the first second with enough
     /// samples.
     pub fn arrivals(&self) -> Arrivals {
-        let lasts_us = WARM_UP_US + COUNTED_US;
+        let lasts_us = WARM_UP_US + self.counted_us();
         let of = 2 * (lasts_us / 1000) as u64;
         let mut simulation = self.simulation(Mode::None);
         let mut arrivals = Arrivals { arrived: 0, of };

@@ -1,6 +1,6 @@
 //! Laws of adaptive compensation, over seeds, in virtual time.
 
-use super::{Alignment, COUNTED_US, Figures, Mode, WARM_UP_US};
+use super::{Alignment, COUNTED_MAX_US, COUNTED_US, Figures, Mode, WARM_UP_US};
 use crate::network::{Jitter, Link, Outage, Outages, Profile, Step, Steps};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -46,6 +46,24 @@ fn over_bursts(seed: u64) -> Alignment {
         ..Link::default()
     };
     alignment(Profile::both("bursts on all links", link), seed)
+}
+
+#[test]
+fn measurement_covers_all_of_a_recorded_network() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("trace.csv");
+    let over_trace = |seconds: u32| {
+        let rows = (0..seconds).map(|s| format!("{s}000,30,0\n"));
+        let text = format!("time_ms,delay_ms,lost\n{}", rows.collect::<String>());
+        std::fs::write(&file, text).unwrap();
+        let text = "name = \"recorded\"\n[down]\ntrace = \"trace.csv\"\n";
+        let profile = Profile::from_toml(text, &folder.path().join("recorded.toml"));
+        alignment(profile.unwrap(), 1)
+    };
+    assert_eq!(over_trace(20).counted_us(), COUNTED_US);
+    let moments = over_trace(75).moments(ADAPTIVE);
+    assert_eq!(moments.len(), 75_000);
+    assert_eq!(over_trace(7200).counted_us(), COUNTED_MAX_US);
 }
 
 /// Checks that fixed delays below the adaptive mean divided by `factor` are unsafe.

@@ -194,8 +194,9 @@ impl TwoSites {
         let site = &mut self.sites[k];
         if now >= self.probe_due_us[k] {
             let period = PROBE_US[usize::from(site.clock.map().is_some())];
-            self.probe_due_us[k] = now + period;
             let probe = site.clock.probe(site.own_clock.at(now));
+            let pause = site.clock.probe_pause(Span::from_micros(period));
+            self.probe_due_us[k] = now + pause.as_micros();
             self.links
                 .send_datagram(k, Direction::Up, now, Packet::ProbeUp(probe));
         }

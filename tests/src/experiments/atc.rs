@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use serde_json::{Value, json};
 
+use super::safe_delays::SafeDelays;
 use super::{Bench, Outcome, Table};
 use crate::alignment::two_sites::Moment;
 use crate::alignment::{Alignment, Figures, Mode};
@@ -74,11 +75,12 @@ impl SeedResult {
         alignment: &Alignment,
         name: &str,
         network: &str,
+        safe_delays: &SafeDelays,
         report: &mut dyn FnMut(&str, f64),
     ) -> Result<Self, String> {
         refuse_silence(alignment, network)?;
         let mut tried = 0.0;
-        let safe_ms = alignment.smallest_safe_fixed_ms(&mut |ms| {
+        let safe_ms = safe_delays.of(alignment, &mut |ms| {
             report(
                 &format!("trying a fixed delay of {ms} ms"),
                 tried / SESSIONS,
@@ -181,7 +183,13 @@ fn aligned(bench: &mut Bench<'_>, name: &str) -> Result<Outcome, String> {
             let what = format!("seed {} of {seeds}, {what}", k + 1);
             (bench.progress)(&what, (k as f64 + share) / seeds as f64);
         };
-        let mut one = SeedResult::of(&alignment, name, &profile.name, &mut report)?;
+        let mut one = SeedResult::of(
+            &alignment,
+            name,
+            &profile.name,
+            &bench.inputs.safe_delays,
+            &mut report,
+        )?;
         if k > 0 {
             // Only the first seed is drawn; the moments of 1000 seeds would take gigabytes.
             one.moments = Vec::new();

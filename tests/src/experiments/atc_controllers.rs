@@ -65,7 +65,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
             seed: bench.seed(),
             motion: motion.clone().map(|motion| -> Arc<dyn Hand> { motion }),
         };
-        let safe_ms = alignment.smallest_safe_fixed_ms(&mut |_| {});
+        let safe_ms = bench.inputs.safe_delays.of(&alignment, &mut |_| {});
         rows.push(row(&alignment, Mode::Adaptive, "Palpate", safe_ms));
         let baselines =
             Baseline::ALL.map(|b| row(&alignment, Mode::Baseline(b), b.name(), safe_ms));

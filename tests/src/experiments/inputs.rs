@@ -10,6 +10,7 @@ use serde_json::Value;
 use super::Outcome;
 use super::recipe::Recipe;
 use super::registry::{Experiment, Work};
+use super::safe_delays::SafeDelays;
 use crate::bench::on_threads;
 use crate::cli::measured;
 use crate::hand::{Hand, HandParameters, Random};
@@ -57,6 +58,7 @@ pub struct Inputs {
     pub real: Option<u64>,
     pub profile: Option<Profile>,
     pub motion: Option<Arc<Motion>>,
+    pub(super) safe_delays: SafeDelays,
 }
 
 impl Inputs {
@@ -91,6 +93,7 @@ impl Inputs {
             seed: recipe.seed,
             seeds: recipe.seeds,
             real: recipe.real,
+            safe_delays: SafeDelays::default(),
         })
     }
 }

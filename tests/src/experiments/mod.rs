@@ -25,6 +25,7 @@ pub mod recipe;
 pub mod registry;
 mod replicas;
 pub mod run_all;
+mod safe_delays;
 mod samples;
 mod scale;
 pub mod schedule;

@@ -17,6 +17,7 @@ use super::gallery::{self, Origin, Part};
 use super::inputs::{Input, Inputs, SEED};
 use super::recipe::Recipe;
 use super::registry::{ALL, BENCHMARKS, Experiment, Work};
+use super::safe_delays::SafeDelays;
 use super::schedule::Schedule;
 use crate::cli::{note, print_line};
 use crate::progress::Progress;
@@ -102,6 +103,7 @@ pub fn all(arguments: &AllArguments) -> Result<bool, String> {
     let mut progress = Progress::new();
     let mut schedule = Schedule::new(items.iter().map(|item| item.took_s).collect());
     let mut parts: Vec<Part> = Vec::new();
+    let safe_delays = SafeDelays::default();
     for item in items {
         progress.stage(&format!(
             "{}: {}  {}",
@@ -115,7 +117,8 @@ pub fn all(arguments: &AllArguments) -> Result<bool, String> {
             progress.tick(&format!("{line}; {what}: {:3.0} %", share * 100.0));
         };
         let run = AssertUnwindSafe(|| {
-            let inputs = Inputs::load(&arguments.recipe(item), kept.path())?;
+            let mut inputs = Inputs::load(&arguments.recipe(item), kept.path())?;
+            inputs.safe_delays = safe_delays.clone();
             item.run(inputs, kept.path(), &mut report_progress)
         });
         // The temporary state of an item is dropped after a panic.

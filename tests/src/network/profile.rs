@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::link::Link;
 use super::path::Direction;
+use super::trace::Trace;
 use crate::input_file;
 use crate::name_suggestion::{did_you_mean, with_suggestion};
 
@@ -76,7 +77,13 @@ impl Profile {
     }
 
     pub fn has_trace(&self) -> bool {
-        self.up.trace.is_some() || self.down.trace.is_some()
+        self.trace_period_us().is_some()
+    }
+
+    /// Length of the longer trace, microseconds.
+    pub fn trace_period_us(&self) -> Option<u64> {
+        let traces = [&self.up, &self.down].map(|link| link.trace.as_ref());
+        traces.into_iter().flatten().map(Trace::period_us).max()
     }
 
     /// Begins all sessions at this time of the traces, s, instead of a random one.

@@ -1,6 +1,6 @@
 //! Recovery of a session whose own clock is set, by hours or by days.
 //!
-//! Due times lie at most one period ahead. A clock that is set back would leave them far ahead: no probe
+//! Due times lie at most two periods ahead. A clock that is set back would leave them far ahead: no probe
 //! and no report would be sent until then, and the clock map would stay wrong.
 
 use super::{ClientSession, DELAY_REPORT_PERIOD, PROBE_PERIOD, State};
@@ -16,7 +16,7 @@ fn not_beyond(due: ClientTime, period: Span, now: ClientTime) -> ClientTime {
 impl ClientSession {
     /// Pulls back due times after a clock was set back. Every call with a time begins with it.
     pub(super) fn follow_clock(&mut self, now: ClientTime) {
-        self.probe_due = not_beyond(self.probe_due, PROBE_PERIOD, now);
+        self.probe_due = not_beyond(self.probe_due, PROBE_PERIOD + PROBE_PERIOD, now);
         self.report_due = not_beyond(self.report_due, DELAY_REPORT_PERIOD, now);
         // The last arrival is not in the future.
         self.last_received = self.last_received.min(now);
