@@ -85,8 +85,8 @@ fn sum<S: Simd>(a: [V<S>; 3], b: [V<S>; 3]) -> [V<S>; 3] {
 }
 
 impl<S: Simd> Corner<S> {
-    /// Evaluates a corner of the cells whose first nodes start at `from`, as if it were flatter by the fraction
-    /// `nearer`.
+    /// Evaluates a corner of the cells whose first nodes start at `from`, as if it had lost a further fraction `nearer`
+    /// of its volume at rest. A fraction of a cube's volume would make the blocks of flat corners 50 times too stiff.
     #[inline(always)]
     fn of(simd: S, form: &Form, u: &Local, which: usize, from: usize, nearer: f32) -> Self {
         let at = [
@@ -107,8 +107,9 @@ impl<S: Simd> Corner<S> {
         let first = cross(&now[1], &now[2]);
         let whole = dot(&rest[0], &cross(&rest[1], &rest[2]));
         let unit = whole.max(V::all(simd, form.cell_volume));
-        let kept = dot(&now[0], &first) / unit - V::all(simd, nearer);
-        let lost = V::all(simd, KEPT) * whole / unit - kept;
+        let at_rest = whole / unit;
+        let kept = dot(&now[0], &first) / unit - V::all(simd, nearer) * at_rest;
+        let lost = V::all(simd, KEPT) * at_rest - kept;
         let modulus = V::load(simd, &form.corner, from);
         let modulus = whole.where_above_zero(lost.where_above_zero(modulus));
         Self {
