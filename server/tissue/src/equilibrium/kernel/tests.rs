@@ -113,6 +113,7 @@ fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
             form,
             u: Some(u),
             per_spacing: 250.0,
+            allowance: 0.0,
             scratch,
         };
         let m = if wide {
@@ -186,6 +187,7 @@ fn corners_flat_at_rest_add_nothing_to_the_blocks_at_rest() {
             form,
             u: None,
             per_spacing: 250.0,
+            allowance: 0.0,
             scratch,
         }
         .with_simd(Scalar)
@@ -219,6 +221,7 @@ fn has_a_potential(brick: &Brick, form: &Form, u: &[Vec3]) {
         form,
         u: Some(u),
         per_spacing: 250.0,
+        allowance: 0.0,
         scratch: &mut Ends::new(),
     });
     for row in &forces(brick, form, u) {
