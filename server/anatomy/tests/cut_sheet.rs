@@ -12,20 +12,36 @@ use std::sync::Arc;
 use palpate_anatomy::sample::Sample;
 use palpate_anatomy::{SceneInput, build};
 use palpate_tissue::Topology;
-use strokes::sheet_laws::{check, count};
+use strokes::sheet_laws::{check, check_crossings, count};
 
-/// Least shares of the nodes inside and on interfaces that are on the swept surface. Interfaces of built models keep the
-/// others: cells were built flat on them, and some interfaces meet the blade flatly.
-const SHARES: [f64; 2] = [0.9, 0.5];
+/// Least shares of the nodes inside, on interfaces and at crossings that are on the swept surface. Others are on interfaces
+/// that meet the blade flatly, on creases, or between walls, interfaces and the blade in one cell.
+const SHARES: [f64; 3] = [0.97, 0.7, 0.0];
+/// The same where a second stroke crosses the wound of a first.
+const CROSSING_SHARES: [f64; 3] = [0.92, 0.7, 0.45];
 
 fn check_model(name: &str, input: &SceneInput, strokes: u64) {
     let (model, _) = build(input, &mut |_, _| ()).unwrap();
     let uncut = Topology::new(Arc::new(model));
-    for (strokes, piece_m) in [(strokes, None), (strokes.div_ceil(20), Some(2e-3))] {
-        let tally = check(&uncut, count(strokes), piece_m);
-        println!("{name} {piece_m:?}: {tally:?} {:?}", tally.shares());
-        for (share, least) in tally.shares().into_iter().zip(SHARES) {
-            assert!(share > least, "{name} {piece_m:?}: {share}");
+    for (part, tally) in [
+        ("whole", check(&uncut, count(strokes), None)),
+        (
+            "pieces",
+            check(&uncut, count(strokes.div_ceil(20)), Some(2e-3)),
+        ),
+        (
+            "crossings",
+            check_crossings(&uncut, count(strokes.div_ceil(4))),
+        ),
+    ] {
+        println!("{name}, {part}: {tally:?} {:?}", tally.shares());
+        let least = if part == "crossings" {
+            CROSSING_SHARES
+        } else {
+            SHARES
+        };
+        for (share, least) in tally.shares().into_iter().zip(least) {
+            assert!(share >= least, "{name}, {part}: {share}");
         }
     }
 }

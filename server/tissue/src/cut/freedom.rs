@@ -9,8 +9,8 @@ use crate::cell::{FACES, NO_CELL};
 use crate::{FaceId, Topology};
 
 /// Directions with a larger share of the normals than this are held: faces that meet at more than
-/// about 37 degrees make a crease.
-const HELD_SHARE: f64 = 0.1;
+/// about 53 degrees make a crease.
+const HELD_SHARE: f64 = 0.2;
 
 /// The directions left to a node.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -76,7 +76,7 @@ use sheet_snap::SheetNode;
 
 /// Farthest a node's rest position may ever be from where the model was built, in spacings, however
 /// many cuts pass; a node at this bound falls short of the next cut instead.
-pub(crate) const DRIFT_MAX: f64 = 1.0;
+pub(crate) const DRIFT_MAX: f64 = 1.5;
 
 /// Reasons for rejecting a stroke. The topology is then unchanged.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

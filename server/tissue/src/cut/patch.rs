@@ -1,7 +1,7 @@
 //! The nodes and cells around a sheet, in a numbering of their own.
 //!
 //! Nodes of the sheet come first, then the other nodes within three rings of it, then the other corners of their
-//! cells. Those, pinned nodes and nodes of earlier cuts stay where they are.
+//! cells. Those, pinned nodes and nodes at the front of earlier cuts stay where they are.
 
 use std::collections::HashMap;
 
@@ -62,7 +62,7 @@ impl Patch {
             for &node in &next {
                 // Nodes that may not move are numbered at the end.
                 let hold = freedom(topology, node);
-                let is_loose = hold != Freedom::Pinned && !topology.is_at_cut(node);
+                let is_loose = hold != Freedom::Pinned && !topology.is_at_front(node);
                 let place = if is_loose { ids.len() as u32 } else { u32::MAX };
                 places.insert(node, place);
                 if is_loose {
@@ -174,27 +174,30 @@ impl Patch {
 impl Topology {
     /// Whether a node belongs to the wall of a cut, and was doubled there.
     pub(crate) fn is_at_wall(&self, node: u32) -> bool {
+        self.has_open_face(node, false)
+    }
+
+    /// Whether a node belongs to the front of a cut, where both sides of an opened face share it.
+    fn is_at_front(&self, node: u32) -> bool {
+        self.has_open_face(node, true)
+    }
+
+    /// Whether a face at a node was opened whose other side has the node too, or has not.
+    fn has_open_face(&self, node: u32, is_shared: bool) -> bool {
         let cells = self.node_cells[node as usize];
         cells.iter().enumerate().any(|(slot, &cell)| {
             cell != NO_CELL
                 && (0..3).any(|axis| {
                     let face = FaceId::new(cell, 2 * axis + (slot >> axis & 1));
-                    let behind = self.model.cells[cell as usize].neighbours[face.face()];
-                    let is_open = self.across(face) == NO_CELL && behind != NO_CELL;
-                    is_open && cells[slot ^ (1 << axis)] != behind
+                    self.is_opened(face)
+                        && (cells[slot ^ (1 << axis)] == self.behind(face).cell()) == is_shared
                 })
         })
     }
 
-    /// Whether a node belongs to the wall or the front of a cut.
-    fn is_at_cut(&self, node: u32) -> bool {
-        let cells = self.node_cells[node as usize];
-        cells.iter().enumerate().any(|(slot, &cell)| {
-            // Its faces at the corner `slot`: 0 or 1, 2 or 3, 4 or 5.
-            cell != NO_CELL && {
-                let at = (0..3).fold(0, |bits, axis| bits | 1 << (2 * axis + (slot >> axis & 1)));
-                self.cut[cell as usize] & at != 0
-            }
-        })
+    /// Whether a cut opened a face.
+    pub(crate) fn is_opened(&self, face: FaceId) -> bool {
+        self.across(face) == NO_CELL
+            && self.model.cells[face.cell() as usize].neighbours[face.face()] != NO_CELL
     }
 }

@@ -10,10 +10,10 @@
 //!
 //! `P_i` is the projector onto the directions of a node; for a node of the sheet it is smaller along the normal of the
 //! swept surface, so that nodes rather spread along the cut. Nodes of the sheet stay in a slab around the swept surface;
-//! nodes of interfaces stay on these. A corner that was built flat, with all its edges in one interface, gets its volume
+//! nodes of interfaces and walls stay on these. A flat corner, with all its edges in one of them, gets its volume
 //! from its distance to the interface, so its nodes may leave it a little.
 //!
-//! Sweeps visit the cells around nodes that moved. Nodes in cells that stay unsound get a thicker slab every few sweeps;
+//! Sweeps visit the cells around nodes that moved. In cells that stay unsound the slabs of nodes grow with every sweep;
 //! then nodes on interfaces go back half of their way and then the whole, and at last all nodes of the cell.
 
 use std::collections::BTreeMap;
@@ -27,26 +27,30 @@ use super::soundness::{CORNER_FLOOR, Soundness, span};
 use crate::cell::{NO_CELL, PAIRS};
 use crate::{Topology, Vec3};
 
-/// Most sweeps of one round.
-const SWEEPS: usize = 24;
-/// Sweeps between two widenings of slabs.
-const WIDENING: usize = 8;
+/// Most sweeps before nodes go back, and after each time that they did.
+const SWEEPS: usize = 160;
+const SWEEPS_BACK: usize = 24;
+/// Sweeps after which the slabs of nodes in unsound cells grow, and by which factor per sweep.
+const PATIENCE: usize = 100;
+const GROWTH: f64 = 1.05;
 /// Rounds in which nodes of unsound cells go back: those on interfaces by half in the first and as a whole in the second,
 /// then all.
 const ROUNDS: usize = 5;
-/// A violated constraint is met with this much to spare, relative to the floor, so that few sweeps suffice.
-const MARGIN: f64 = 0.1;
+/// A violated constraint of a corner and of a spring is met with this much to spare, relative to the floor, so that fewer
+/// sweeps suffice and later cuts find room.
+const CORNER_MARGIN: f64 = 1.0;
+const SPRING_MARGIN: f64 = 0.1;
 /// Factor of P along the normal of the swept surface.
-const NORMAL_SHARE: f64 = 0.2;
+const NORMAL_SHARE: f64 = 0.05;
 /// A constraint is left alone if its nodes have less than this part of its gradient: moves would be long and of no use.
-const GRADIENT_MIN: f64 = 0.03;
+const GRADIENT_MIN: f64 = 0.003;
 /// Longest move of a node in one step, in spacings.
 const STEP_MAX: f64 = 0.1;
 /// Farthest a node may leave its interfaces, in spacings.
 const LIFT_MAX: f64 = 0.07;
 /// A node farther from its interfaces than this, in spacings, stays where it was.
 const DRIFT_ALLOWED: f64 = 0.09;
-/// A corner was built flat if it spans less than this, in cubed spacings.
+/// A corner was flat, as built or before this cut, if it spanned less than this, in cubed spacings.
 const FLAT: f64 = 0.5;
 
 pub(crate) struct Projections<'a> {
@@ -86,7 +90,7 @@ impl<'a> Projections<'a> {
 
     /// Moves nodes until all cells are sound, or gives nodes up.
     pub(crate) fn run(&mut self) {
-        self.sweep();
+        self.sweep(SWEEPS);
         for round in 0..ROUNDS {
             self.give_up_drifted();
             let unsound = self.patch.unsound();
@@ -109,7 +113,7 @@ impl<'a> Projections<'a> {
                     self.give_up(n);
                 }
             }
-            self.sweep();
+            self.sweep(SWEEPS_BACK);
         }
         self.give_up_drifted();
     }
@@ -142,15 +146,15 @@ impl<'a> Projections<'a> {
         }
     }
 
-    fn sweep(&mut self) {
+    fn sweep(&mut self, most: usize) {
         let mut active = vec![true; self.patch.cells.len()];
-        for sweep in 1..=SWEEPS {
+        for sweep in 1..=most {
             for c in 0..active.len() {
                 let is_unsound = std::mem::take(&mut active[c]) && self.correct(c);
-                if is_unsound && sweep % WIDENING == 0 {
+                if is_unsound && sweep > PATIENCE {
                     for n in self.patch.cells[c] {
                         if let Some(node) = self.nodes.get_mut(n as usize) {
-                            node.slab *= 2.0;
+                            node.slab *= GROWTH;
                         }
                     }
                 }
@@ -208,13 +212,13 @@ impl<'a> Projections<'a> {
                 let length = d.norm();
                 if length * length < floor.spring && length > 0.0 {
                     let g = d / length;
-                    let miss = floor.spring.sqrt() * (1.0 + MARGIN) - length;
+                    let miss = floor.spring.sqrt() * (1.0 + SPRING_MARGIN) - length;
                     let moves = [(a, -g), (b, g)].map(|(n, g)| (n, g, self.left_to(n, g, false)));
                     self.step(&moves, miss);
                 }
             }
         }
-        let wanted = floor.volume + MARGIN * CORNER_FLOOR * self.patch.spacing.powi(3);
+        let wanted = floor.volume + CORNER_MARGIN * CORNER_FLOOR * self.patch.spacing.powi(3);
         for corner in 0..8_usize {
             let x = self.patch.corners(c);
             let sign = |a: usize| if corner >> a & 1 == 0 { 1.0 } else { -1.0 };
@@ -237,13 +241,16 @@ impl<'a> Projections<'a> {
         true
     }
 
-    /// Whether a corner was built with all its edges in an interface.
+    /// Whether a corner has all its edges in an interface or wall.
     fn is_flat(&self, c: usize, corner: usize, four: &[usize; 4]) -> bool {
-        let model = &self.topology.model;
+        let built = self
+            .topology
+            .model
+            .corners_of(self.patch.cell_ids[c] as usize);
+        let start = self.patch.cells[c].map(|n| self.patch.start[n as usize]);
         let is_free = |n: usize| n < self.patch.movable && self.patch.holds[n] == Freedom::Free;
         !four.iter().any(|&n| is_free(n))
-            && span(&model.corners_of(self.patch.cell_ids[c] as usize), corner)
-                < FLAT * self.patch.spacing.powi(3)
+            && span(&built, corner).min(span(&start, corner)) < FLAT * self.patch.spacing.powi(3)
     }
 
     /// The part of a direction that is left to a node; with `lifts` also off its interfaces.
@@ -254,7 +261,7 @@ impl<'a> Projections<'a> {
         let node = self.nodes.get(n);
         let left = match self.patch.holds[n] {
             Freedom::Free => v,
-            Freedom::Held(_) if lifts && node.is_none_or(|n| n.may_lift) => {
+            Freedom::Held(_) if lifts => {
                 self.lifted[n] = true;
                 v
             }

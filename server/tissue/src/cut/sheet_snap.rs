@@ -12,34 +12,33 @@
 //!
 //! Where the lattice makes a step, three edges of a cell would come to lie in the swept surface. Its nodes keep a small
 //! part s of their heights, x = q + s d n: on a plane the lattice is then squashed by an affine map of determinant s, so
-//! that no corner is inverted, and nodes of a cube's lattice are at most 0.87 s from the plane.
+//! that no corner is inverted.
 
 use super::DRIFT_MAX;
 use super::freedom::{Freedom, freedom};
 use super::interface::Interfaces;
 use super::patch::Patch;
 use super::ribbon::Ribbon;
+use super::soundness::CORNER_FLOOR;
 use crate::{FaceId, Topology, Vec3};
 
 /// A snapped node is nearer to the swept surface than this, in spacings.
 pub(crate) const ON_RIBBON: f64 = 1e-6;
 /// Farthest a node of the sheet is meant to be from the swept surface where its cells need the room, in spacings.
 const SLAB: f64 = 0.0495;
-/// s: above the smallest volume at a corner, in cubed spacings, and below the slab over half a diagonal of a cell.
-const SQUASH: f64 = 0.055;
+/// s: just above the smallest volume at a corner, in cubed spacings.
+const SQUASH: f64 = 1.1 * CORNER_FLOOR;
 /// A node slides to the swept surface only where it crosses its own at more than this (squared sine
 /// of the angle); flatter than that it would have to go too far.
 pub(crate) const CROSSING_MIN: f64 = 0.05;
 /// Steps of the iteration on curved surfaces; flat ones need one.
-const ITERATIONS: usize = 6;
+const ITERATIONS: usize = 20;
 
 /// A node of a sheet.
 pub(crate) struct SheetNode {
     pub(crate) node: u32,
     pub(crate) freedom: Freedom,
     pub(crate) interfaces: Interfaces,
-    /// Whether it may be lifted off its interfaces a little; not off the wall of a cut, whose other side would stay.
-    pub(crate) may_lift: bool,
     /// Where it was built.
     original: Vec3,
     /// Point and normal of the swept surface near it; none for pinned nodes.
@@ -66,7 +65,6 @@ pub(crate) fn sheet_nodes(topology: &Topology, sheet: &[FaceId]) -> Vec<SheetNod
                 Freedom::Held(_) => Interfaces::at(topology, node),
                 Freedom::Free | Freedom::Pinned => Interfaces::default(),
             },
-            may_lift: !topology.is_at_wall(node),
             original: topology.original(node),
             plane: None,
             slab: 0.0,

@@ -82,6 +82,7 @@ impl FineLevel {
             form: &hierarchy.forms[brick.form as usize],
             u,
             per_spacing: hierarchy.per_spacing,
+            allowance: self.allowance,
             scratch: &mut self.block_scratch,
         })
     }

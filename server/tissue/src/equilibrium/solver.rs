@@ -276,6 +276,7 @@ impl Solver {
         }
         self.coarse.follows = self.contacts.proxies.is_empty();
         self.fine.limit_moves(&self.hierarchy, quick);
+        self.fine.reset_allowance(quick);
         let mut share = INITIAL_THRESHOLD;
         let jumped = lags;
         // The contact stiffness on the coarse levels belongs to earlier contacts.
@@ -324,6 +325,9 @@ impl Solver {
             }
             self.correct(u, share * allowed, quick);
             smoothing = Some(self.smooth(u));
+            if !quick {
+                self.fine.update_allowance(&self.hierarchy);
+            }
             if lags {
                 lags = self.gather(topology, u);
                 outdated = true;

@@ -66,6 +66,32 @@ pub(crate) fn random_stroke(topology: &Topology, random: &mut Pcg64) -> CutStrok
     }
 }
 
+/// A plane stroke through the middle of another one, at 30 to 150 degrees to it, leaning by up to 20 degrees.
+pub(crate) fn crossing_stroke(other: &CutStroke, spacing: f64, random: &mut Pcg64) -> CutStroke {
+    let [first, .., last] = &other.points[..] else {
+        unreachable!("a random stroke has many points");
+    };
+    let middle = other.points[other.points.len() / 2];
+    let along = (last.tip - first.tip).normalize();
+    let side = middle.axis.cross(&along).normalize();
+    let angle = random.random_range(0.52..2.62f64);
+    let way = along * angle.cos() + side * angle.sin();
+    let lean = random.random_range(-0.35..0.35);
+    let axis = (middle.axis + middle.axis.cross(&way).normalize() * lean).normalize();
+    let depth_m = middle.depth_m * random.random_range(0.6..1.3);
+    let steps = (random.random_range(6.0..14.0) * spacing / STEP_M).ceil();
+    let shift = random.random_range(0.3..0.7);
+    let point = |i: usize| BladePoint {
+        tip: middle.top() - axis * depth_m + way * ((i as f64 - shift * steps) * STEP_M),
+        axis,
+        depth_m,
+    };
+    CutStroke {
+        points: (0..=steps as usize).map(point).collect(),
+        width_m: 0.0,
+    }
+}
+
 /// The same stroke in pieces of `length_m`, each with the path of three spacings before it.
 pub(crate) fn pieces(stroke: &CutStroke, length_m: f64, spacing: f64) -> Vec<CutStroke> {
     let new = (length_m / STEP_M).round().max(1.0) as usize;

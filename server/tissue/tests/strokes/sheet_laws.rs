@@ -1,17 +1,20 @@
-//! Laws of the sheet of one stroke on an uncut model, and tallies of its nodes.
+//! Laws of the sheets of one stroke on an uncut model and of two that cross, and tallies of their nodes.
 
-use palpate_tissue::{CutError, SweptSurface, Topology, cut};
+use std::collections::BTreeSet;
+
+use palpate_tissue::cell::FACES;
+use palpate_tissue::{CutError, CutStroke, SweptSurface, Topology, cut};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
-use super::random_stroke::{pieces, random_stroke};
-use super::sheet_figures::{Kind, cell_figures, drift, sheet_nodes};
+use super::random_stroke::{crossing_stroke, pieces, random_stroke};
+use super::sheet_figures::{Kind, cell_figures, drift, origin, sheet_nodes};
 
 /// A node this near to the swept surface is on it, in spacings.
 const ON: f64 = 0.05;
 /// Least corner determinant and shortest spring of a cell that a cut moved, in spacings; less only where the cell had less
 /// before.
-const FLOORS: [f64; 2] = [0.0499, 0.2999];
+const FLOORS: [f64; 2] = [0.0099, 0.2999];
 /// Farthest that a node may leave its interfaces as built, in spacings.
 const DRIFT_MAX: f64 = 0.1;
 
@@ -20,14 +23,17 @@ const DRIFT_MAX: f64 = 0.1;
 pub(crate) struct Tally {
     pub(crate) inside: [usize; 2],
     pub(crate) interface: [usize; 2],
+    /// Nodes on the wall of an earlier stroke.
+    pub(crate) crossing: [usize; 2],
     pub(crate) faces: usize,
     pub(crate) refused: usize,
 }
 
 impl Tally {
-    /// Shares of the nodes inside and on interfaces that are on the swept surface.
-    pub(crate) fn shares(&self) -> [f64; 2] {
-        [self.inside, self.interface].map(|[on, all]| on as f64 / all.max(1) as f64)
+    /// Shares of the nodes inside, on interfaces and at crossings that are on the swept surface.
+    pub(crate) fn shares(&self) -> [f64; 3] {
+        let counts = [self.inside, self.interface, self.crossing];
+        counts.map(|[on, all]| on as f64 / all.max(1) as f64)
     }
 }
 
@@ -46,6 +52,34 @@ pub(crate) fn check(uncut: &Topology, count: u64, piece_m: Option<f64>) -> Tally
     tally
 }
 
+/// Cuts an uncut model with `count` pairs of random strokes that cross, each pair from the beginning.
+pub(crate) fn check_crossings(uncut: &Topology, count: u64) -> Tally {
+    let mut tally = Tally::default();
+    for seed in 0..count {
+        let mut random = Pcg64::seed_from_u64(seed);
+        let spacing = uncut.model().spacing_m;
+        let first = random_stroke(uncut, &mut random);
+        let second = crossing_stroke(&first, spacing, &mut random);
+        let mut t = uncut.clone();
+        if cut(&mut t, &first).is_err() {
+            tally.refused += 1;
+            continue;
+        }
+        let opened = t.boundary().faces.len();
+        let walls = &t.boundary().faces[uncut.boundary().faces.len()..];
+        let corners = walls
+            .iter()
+            .flat_map(|&f| FACES[f.face()].map(|i| t.corners(f.cell())[i]));
+        let walls: BTreeSet<u32> = corners.map(|n| origin(&t, n)).collect();
+        if cut(&mut t, &second).is_ok() {
+            check_result(uncut, &t, seed, &second, opened, &walls, &mut tally);
+        } else {
+            tally.refused += 1;
+        }
+    }
+    tally
+}
+
 fn mass(t: &Topology) -> f64 {
     (0..t.node_count() as u32).map(|n| t.mass(n)).sum()
 }
@@ -53,9 +87,8 @@ fn mass(t: &Topology) -> f64 {
 fn check_stroke(uncut: &Topology, seed: u64, piece_m: Option<f64>, tally: &mut Tally) {
     let spacing = uncut.model().spacing_m;
     let stroke = random_stroke(uncut, &mut Pcg64::seed_from_u64(seed));
-    let surface = SweptSurface::of(&stroke, spacing).unwrap();
     let strokes = match piece_m {
-        None => vec![stroke],
+        None => vec![stroke.clone()],
         Some(length) => pieces(&stroke, length, spacing),
     };
     let mut t = uncut.clone();
@@ -74,11 +107,27 @@ fn check_stroke(uncut: &Topology, seed: u64, piece_m: Option<f64>, tally: &mut T
         tally.refused += 1;
         return;
     }
+    let opened = uncut.boundary().faces.len();
+    check_result(uncut, &t, seed, &stroke, opened, &BTreeSet::new(), tally);
+}
+
+/// Laws of a cut model; counts the nodes of the faces that `stroke` opened, which come after `opened` others.
+fn check_result(
+    uncut: &Topology,
+    t: &Topology,
+    seed: u64,
+    stroke: &CutStroke,
+    opened: usize,
+    walls: &BTreeSet<u32>,
+    tally: &mut Tally,
+) {
+    let spacing = uncut.model().spacing_m;
+    let surface = SweptSurface::of(stroke, spacing).unwrap();
     assert!(t.boundary().is_closed(), "stroke {seed}");
-    let gained = mass(&t) / mass(uncut) - 1.0;
+    let gained = mass(t) / mass(uncut) - 1.0;
     assert!(gained.abs() < 1e-12, "stroke {seed}: mass by {gained:e}");
     for c in 0..t.cell_count() as u32 {
-        let [now, before] = [&t, uncut].map(|t| t.corners(c).map(|n| t.rest(n)));
+        let [now, before] = [t, uncut].map(|t| t.corners(c).map(|n| t.rest(n)));
         if now != before {
             let [now, before] = [&now, &before].map(|x| cell_figures(x, spacing));
             for i in 0..2 {
@@ -87,16 +136,18 @@ fn check_stroke(uncut: &Topology, seed: u64, piece_m: Option<f64>, tally: &mut T
             }
         }
     }
-    let opened = uncut.boundary().faces.len();
     tally.faces += t.boundary().faces.len() - opened;
-    for node in sheet_nodes(uncut, &t, opened, &surface) {
-        let drift = drift(uncut, &t, node.node);
+    for node in sheet_nodes(uncut, t, opened, &surface) {
+        let drift = drift(uncut, t, node.node);
         assert!(
             drift <= DRIFT_MAX,
             "stroke {seed}, node {}: {drift}",
             node.node
         );
         let counts = match node.kind {
+            Kind::Inside | Kind::Interface if walls.contains(&origin(t, node.node)) => {
+                &mut tally.crossing
+            }
             Kind::Inside => &mut tally.inside,
             Kind::Interface => &mut tally.interface,
             Kind::Pinned => continue,
