@@ -106,7 +106,7 @@ pub struct TopologyCut<'a> {
     rest: Option<Rest>,
 }
 
-/// What is missing to a prepared cut.
+/// The work that a tissue needs before it can adopt a cut.
 enum Rest {
     Levels(CutOutcome),
     /// Levels follow an undo, a redo or a reset with the topology.
