@@ -1,6 +1,6 @@
 //! Rows of different lengths in one array.
 
-use crate::equilibrium::reserve;
+use crate::equilibrium::{SLACK, reserve};
 
 /// Place of a row in the array.
 #[derive(Debug, Clone, Copy, Default)]
@@ -18,6 +18,8 @@ pub struct Rows<T> {
     slots: Vec<Slot>,
     /// Number of rows; later slots are room.
     rows: usize,
+    /// Number of items of all rows.
+    used: usize,
     items: Vec<T>,
 }
 
@@ -39,7 +41,13 @@ impl<T: Copy + Default> Rows<T> {
             items[(slot.first + slot.len) as usize] = item;
             slot.len += 1;
         }
-        Self { slots, rows, items }
+        let used = items.len();
+        Self {
+            slots,
+            rows,
+            used,
+            items,
+        }
     }
 
     /// Number of rows.
@@ -68,6 +76,7 @@ impl<T: Copy + Default> Rows<T> {
             self.slots.resize(self.rows, Slot::default());
         }
         let slot = &mut self.slots[r];
+        self.used = self.used + items.len() - slot.len as usize;
         slot.len = items.len() as u32;
         if slot.len > slot.room {
             (slot.first, slot.room) = (self.items.len() as u32, slot.len);
@@ -79,10 +88,26 @@ impl<T: Copy + Default> Rows<T> {
 
     /// Removes the rows from `rows` on.
     pub(crate) fn truncate(&mut self, rows: usize) {
+        if rows >= self.rows {
+            return;
+        }
         for slot in self.slots.iter_mut().take(self.rows).skip(rows) {
+            self.used -= slot.len as usize;
             slot.len = 0;
         }
-        self.rows = self.rows.min(rows);
+        self.rows = rows;
+        if self.items.len() > self.used + self.used / SLACK {
+            self.compact();
+        }
+    }
+
+    /// Gives all room back.
+    fn compact(&mut self) {
+        let pairs =
+            (0..self.rows as u32).flat_map(|r| self.row(r).iter().map(move |&item| (r, item)));
+        let mut compact = Self::new(self.rows, pairs);
+        compact.reserve();
+        *self = compact;
     }
 
     /// Makes room for the rows and items that cuts will add.
