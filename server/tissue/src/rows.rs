@@ -17,7 +17,7 @@ struct Slot {
 pub struct Rows<T> {
     slots: Vec<Slot>,
     /// Number of rows; later slots are room.
-    rows: usize,
+    count: usize,
     /// Number of items of all rows.
     used: usize,
     items: Vec<T>,
@@ -44,7 +44,7 @@ impl<T: Copy + Default> Rows<T> {
         let used = items.len();
         Self {
             slots,
-            rows,
+            count: rows,
             used,
             items,
         }
@@ -52,7 +52,7 @@ impl<T: Copy + Default> Rows<T> {
 
     /// Number of rows.
     pub fn rows(&self) -> usize {
-        self.rows
+        self.count
     }
 
     /// The items of a row.
@@ -71,9 +71,9 @@ impl<T: Copy + Default> Rows<T> {
     /// Replaces the items of a row, which may be new.
     pub fn set(&mut self, row: u32, items: &[T]) {
         let r = row as usize;
-        self.rows = self.rows.max(r + 1);
-        if self.slots.len() < self.rows {
-            self.slots.resize(self.rows, Slot::default());
+        self.count = self.count.max(r + 1);
+        if self.slots.len() < self.count {
+            self.slots.resize(self.count, Slot::default());
         }
         let slot = &mut self.slots[r];
         self.used = self.used + items.len() - slot.len as usize;
@@ -88,14 +88,14 @@ impl<T: Copy + Default> Rows<T> {
 
     /// Removes the rows from `rows` on.
     pub(crate) fn truncate(&mut self, rows: usize) {
-        if rows >= self.rows {
+        if rows >= self.count {
             return;
         }
-        for slot in self.slots.iter_mut().take(self.rows).skip(rows) {
+        for slot in self.slots.iter_mut().take(self.count).skip(rows) {
             self.used -= slot.len as usize;
             slot.len = 0;
         }
-        self.rows = rows;
+        self.count = rows;
         if self.items.len() > self.used + self.used / SLACK {
             self.compact();
         }
@@ -104,8 +104,8 @@ impl<T: Copy + Default> Rows<T> {
     /// Gives all room back.
     fn compact(&mut self) {
         let pairs =
-            (0..self.rows as u32).flat_map(|r| self.row(r).iter().map(move |&item| (r, item)));
-        let mut compact = Self::new(self.rows, pairs);
+            (0..self.count as u32).flat_map(|r| self.row(r).iter().map(move |&item| (r, item)));
+        let mut compact = Self::new(self.count, pairs);
         compact.reserve();
         *self = compact;
     }

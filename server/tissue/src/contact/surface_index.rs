@@ -112,7 +112,7 @@ impl SurfaceIndex {
     pub(crate) fn follow(&mut self, topology: &Topology, change: &SurfaceChange) {
         let count = 2 * topology.exposed.faces.len() as u32;
         let is_known = |t: &u32| self.tree.leaf_node(*t).is_some();
-        let gone: Vec<u32> = (count..).take_while(is_known).collect();
+        let gone: Vec<u32> = (count..self.room as u32).filter(is_known).collect();
         for t in gone {
             self.tree.remove(t);
         }

@@ -205,7 +205,7 @@ impl Hierarchy {
         {
             *entry = FREE;
         }
-        self.share_forms(&mut change);
+        share_forms(&mut change);
         reversal.note_bricks(self, &change);
         self.apply_bricks(&change);
         self.apply_computed(0, first, &mut change, &mut reversal);
@@ -214,18 +214,6 @@ impl Hierarchy {
             self.apply_computed(l, next, &mut change, &mut reversal);
         }
         (change, reversal)
-    }
-
-    /// Notes the forms of changed bricks that several bricks share from now on.
-    fn share_forms(&self, change: &mut HierarchyChange) {
-        let mut shared: BTreeMap<u32, Option<bool>> =
-            change.forms.iter().map(|form| (form.0, None)).collect();
-        for (_, brick, _) in &change.bricks {
-            let is_shared = shared.entry(brick.form).or_insert(Some(true));
-            *is_shared = Some(is_shared.is_some());
-        }
-        let shared = shared.into_iter();
-        change.shared = shared.map(|(f, is)| (f, is.unwrap_or(false))).collect();
     }
 
     /// Applies the change of a level and adds its bounds.
@@ -500,6 +488,18 @@ impl Hierarchy {
             prolongation.set_corners(e, corners);
         }
     }
+}
+
+/// Notes the forms of changed bricks that several bricks share from now on.
+fn share_forms(change: &mut HierarchyChange) {
+    let mut shared: BTreeMap<u32, Option<bool>> =
+        change.forms.iter().map(|form| (form.0, None)).collect();
+    for (_, brick, _) in &change.bricks {
+        let is_shared = shared.entry(brick.form).or_insert(Some(true));
+        *is_shared = Some(is_shared.is_some());
+    }
+    let shared = shared.into_iter();
+    change.shared = shared.map(|(f, is)| (f, is.unwrap_or(false))).collect();
 }
 
 /// Cells around the nodes that a cut doubled: all whose corners or open faces changed.

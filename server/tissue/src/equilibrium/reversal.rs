@@ -259,12 +259,11 @@ impl Hierarchy {
             kinds.levels[l].restore(keeps.matrices, &level.matrices);
             for &(element, matrix) in &level.matrix {
                 let children = self.levels[l].children.row(element);
-                let parts = match l.checked_sub(1) {
-                    Some(below) => parts_over_children(&self.levels[below], children),
-                    None => {
-                        let bricks = children.iter().map(|&b| &self.bricks[b as usize]);
-                        parts_over_bricks(topology, bricks)
-                    }
+                let parts = if l == 0 {
+                    let bricks = children.iter().map(|&b| &self.bricks[b as usize]);
+                    parts_over_bricks(topology, bricks)
+                } else {
+                    parts_over_children(&self.levels[l - 1], children)
                 };
                 kinds.levels[l].take_back(matrix, parts);
             }

@@ -16,9 +16,12 @@ pub(super) fn weights(topology: &Topology) -> Vec<Quad> {
     let pinned: Vec<bool> = all.clone().map(|n| topology.is_pinned(n)).collect();
     let cells = (0..topology.cell_count() as u32).map(|c| topology.corners(c));
     let hangs = hanging(cells, &pinned);
-    let of = |node: u32| match hangs[node as usize] {
-        true => weight_of(topology, node),
-        false => ZERO,
+    let of = |node: u32| {
+        if hangs[node as usize] {
+            weight_of(topology, node)
+        } else {
+            ZERO
+        }
     };
     all.map(of).collect()
 }
