@@ -16,7 +16,7 @@ use strokes::sheet_laws::{check, check_crossings, count};
 
 /// Least shares of the nodes inside, on interfaces and at crossings that are on the swept surface. Others are on interfaces
 /// that meet the blade flatly, on creases, or between walls, interfaces and the blade in one cell.
-const SHARES: [f64; 3] = [0.97, 0.7, 0.0];
+const SHARES: [f64; 3] = [0.95, 0.7, 0.0];
 /// The same where a second stroke crosses the wound of a first.
 const CROSSING_SHARES: [f64; 3] = [0.92, 0.7, 0.45];
 

@@ -1,6 +1,6 @@
 //! Rows of different lengths in one array.
 
-use crate::equilibrium::reserve;
+use crate::equilibrium::{SLACK, reserve};
 
 /// Place of a row in the array.
 #[derive(Debug, Clone, Copy, Default)]
@@ -18,6 +18,8 @@ pub struct Rows<T> {
     slots: Vec<Slot>,
     /// Number of rows; later slots are room.
     count: usize,
+    /// Number of items of all rows.
+    used: usize,
     items: Vec<T>,
 }
 
@@ -39,9 +41,11 @@ impl<T: Copy + Default> Rows<T> {
             items[(slot.first + slot.len) as usize] = item;
             slot.len += 1;
         }
+        let used = items.len();
         Self {
             slots,
             count: rows,
+            used,
             items,
         }
     }
@@ -72,6 +76,7 @@ impl<T: Copy + Default> Rows<T> {
             self.slots.resize(self.count, Slot::default());
         }
         let slot = &mut self.slots[r];
+        self.used = self.used + items.len() - slot.len as usize;
         slot.len = items.len() as u32;
         if slot.len > slot.room {
             (slot.first, slot.room) = (self.items.len() as u32, slot.len);
@@ -83,10 +88,26 @@ impl<T: Copy + Default> Rows<T> {
 
     /// Removes the rows from `rows` on.
     pub(crate) fn truncate(&mut self, rows: usize) {
+        if rows >= self.count {
+            return;
+        }
         for slot in self.slots.iter_mut().take(self.count).skip(rows) {
+            self.used -= slot.len as usize;
             slot.len = 0;
         }
-        self.count = self.count.min(rows);
+        self.count = rows;
+        if self.items.len() > self.used + self.used / SLACK {
+            self.compact();
+        }
+    }
+
+    /// Gives all room back.
+    fn compact(&mut self) {
+        let pairs =
+            (0..self.count as u32).flat_map(|r| self.row(r).iter().map(move |&item| (r, item)));
+        let mut compact = Self::new(self.count, pairs);
+        compact.reserve();
+        *self = compact;
     }
 
     /// Makes room for the rows and items that cuts will add.

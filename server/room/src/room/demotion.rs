@@ -87,7 +87,7 @@ impl Room {
             return;
         };
         if let Some((_, before)) = participant.report.replace((now, report))
-            && participant.explained(before, longest) != Some(before)
+            && (participant.explained(before, longest)).is_some_and(|used| used != before)
         {
             self.limits.count(Limit::DelayReport);
         }

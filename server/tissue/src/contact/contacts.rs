@@ -9,7 +9,7 @@ use super::surface::{Foot, Surface, blend};
 use super::surface_index::{SurfaceChange, SurfaceIndex};
 use super::tie::{Held, Spread};
 use super::{TOOLS_MAX, Tool};
-use crate::equilibrium::{Disabled, Mechanism, laid_out};
+use crate::equilibrium::{Disabled, Mechanism, laid_out, trim};
 use crate::{Topology, Vec3};
 
 const NONE: u32 = u32::MAX;
@@ -57,6 +57,7 @@ impl Contacts {
 
     /// Follows a cut.
     pub(crate) fn follow(&mut self, topology: &Topology, change: &SurfaceChange) {
+        trim(&mut self.place, topology.node_count());
         self.place.resize(topology.node_count(), NONE);
         self.index.follow(topology, change);
     }
@@ -223,7 +224,13 @@ impl Contacts {
         }
     }
 
-    pub(crate) fn clear(&mut self) {
+    /// Forgets all samples, with their memory.
+    pub(crate) fn forget(&mut self) {
+        self.clear();
+        (self.nodes, self.samples, self.held) = Default::default();
+    }
+
+    fn clear(&mut self) {
         for &node in &self.nodes {
             self.place[node as usize] = NONE;
         }

@@ -24,7 +24,7 @@ use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode, TraversalAction}
 
 use super::ball::Ball;
 use super::watched::Watched;
-use crate::equilibrium::overlaid;
+use crate::equilibrium::{SLACK, overlaid};
 use crate::{Rows, Topology, Vec3};
 
 /// Margin of the watched region relative to the reach. A larger margin refits more triangles per step, a smaller one
@@ -87,6 +87,8 @@ impl SurfaceChange {
 pub(crate) struct SurfaceIndex {
     /// Tree of rest positions; leaf `t` is triangle `t`.
     tree: Bvh,
+    /// Largest number of triangles since the tree was built; it keeps their memory.
+    room: usize,
     node_triangles: Rows<u32>,
     watched: Watched,
     spacing: f64,
@@ -96,10 +98,9 @@ pub(crate) struct SurfaceIndex {
 
 impl SurfaceIndex {
     pub(crate) fn new(topology: &Topology) -> Self {
-        let triangles = topology.exposed.triangles.iter().flatten();
-        let boxes = triangles.map(|t| rest_box(topology, t)).enumerate();
         Self {
-            tree: Bvh::from_iter(BvhBuildStrategy::Binned, boxes),
+            tree: tree_of(topology),
+            room: 2 * topology.exposed.triangles.len(),
             node_triangles: node_triangles(topology),
             watched: Watched::new(topology.node_count()),
             spacing: topology.model().spacing_m,
@@ -110,10 +111,10 @@ impl SurfaceIndex {
     /// Follows a cut or an undo: refits the boxes of changed triangles, removes those that are gone and inserts new ones.
     pub(crate) fn follow(&mut self, topology: &Topology, change: &SurfaceChange) {
         let count = 2 * topology.exposed.faces.len() as u32;
-        let mut gone = count;
-        while self.tree.leaf_node(gone).is_some() {
-            self.tree.remove(gone);
-            gone += 1;
+        let is_known = |t: &u32| self.tree.leaf_node(*t).is_some();
+        let gone: Vec<u32> = (count..self.room as u32).filter(is_known).collect();
+        for t in gone {
+            self.tree.remove(t);
         }
         self.node_triangles.truncate(topology.node_count());
         for (node, row) in &change.around {
@@ -128,6 +129,11 @@ impl SurfaceIndex {
         }
         // Insertion only widens boxes on the way to the root; this makes them tight again.
         self.tree.refit_partial(&[], &changed);
+        let count = count as usize;
+        self.room = self.room.max(count);
+        if count < self.room - self.room / SLACK {
+            (self.tree, self.room) = (tree_of(topology), count);
+        }
         self.watched.follow(topology.node_count());
     }
 
@@ -258,6 +264,13 @@ impl SurfaceIndex {
     pub(super) fn heap_bytes(&self) -> usize {
         self.tree.heap_memory_size() + self.node_triangles.heap_bytes() + self.watched.heap_bytes()
     }
+}
+
+/// The tree over the boxes of all triangles at rest.
+fn tree_of(topology: &Topology) -> Bvh {
+    let triangles = topology.exposed.triangles.iter().flatten();
+    let boxes = triangles.map(|t| rest_box(topology, t)).enumerate();
+    Bvh::from_iter(BvhBuildStrategy::Binned, boxes)
 }
 
 fn rest_box(topology: &Topology, nodes: &[u32; 3]) -> Aabb {

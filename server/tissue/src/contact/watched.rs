@@ -5,7 +5,7 @@ use parry3d_f64::math::Vector;
 
 use super::ball::Ball;
 use super::surface_index::ROUNDING;
-use crate::equilibrium::laid_out;
+use crate::equilibrium::{laid_out, trim};
 use crate::{Topology, Vec3};
 
 /// Triangles per box; they are consecutive in the tree, hence neighbours.
@@ -61,6 +61,14 @@ impl Watched {
     /// Watches nothing on a surface with this many nodes.
     pub(crate) fn follow(&mut self, node_count: usize) {
         self.balls.clear();
+        if node_count < self.place.len() {
+            let mut place = std::mem::take(&mut self.place);
+            trim(&mut place, node_count);
+            *self = Self {
+                place,
+                ..Self::new(0)
+            };
+        }
         self.place.resize(node_count, NONE);
     }
 

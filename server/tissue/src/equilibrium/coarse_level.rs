@@ -11,7 +11,7 @@
 
 use super::hierarchy::{Hierarchy, Level};
 use super::matrix::{Columns, Corners};
-use super::quad::{Quad, ZERO, laid_out, plus};
+use super::quad::{Quad, ZERO, laid_out, plus, trim};
 
 /// Stiffness of an element including contacts and held nodes.
 pub(super) struct ContactStiffness {
@@ -53,7 +53,9 @@ impl List {
     pub(super) fn shrink(&mut self, len: usize) {
         if len < self.member.len() {
             self.items.retain(|&item| (item as usize) < len);
-            self.member.truncate(len);
+            let items = self.items.len();
+            self.items.shrink_to(items.max(len));
+            trim(&mut self.member, len);
         }
     }
 
@@ -236,6 +238,9 @@ impl CoarseLevel {
 
     /// Drops the elements and points from these numbers on.
     pub(super) fn shrink(&mut self, elements: usize, points: usize) {
+        if points >= self.total.len() && elements >= self.pending.len() {
+            return;
+        }
         for list in [&mut self.set, &mut self.refined, &mut self.to_refine] {
             list.shrink(elements);
         }
@@ -258,21 +263,23 @@ impl CoarseLevel {
             &mut self.deferred_residual,
             &mut self.step_correction,
         ] {
-            vectors.truncate(points);
+            trim(vectors, points);
         }
         for totals in [&mut self.total, &mut self.applied, &mut self.prolongated] {
-            totals.truncate(points);
+            trim(totals, points);
         }
-        self.inside.truncate(points);
-        self.free.truncate(points);
-        self.added_bound.truncate(points);
-        self.inverse.truncate(points);
-        self.stiffness_of.truncate(elements);
-        self.pending.truncate(elements);
-        self.deferred_force.truncate(elements);
-        self.has_pending.truncate(elements);
-        self.deferred_square.truncate(elements);
-        self.deferred.retain(|d| (d.element as usize) < elements);
+        trim(&mut self.inside, points);
+        trim(&mut self.free, points);
+        trim(&mut self.added_bound, points);
+        trim(&mut self.inverse, points);
+        trim(&mut self.stiffness_of, elements);
+        trim(&mut self.pending, elements);
+        trim(&mut self.deferred_force, elements);
+        trim(&mut self.has_pending, elements);
+        trim(&mut self.deferred_square, elements);
+        // The next cycle fills it again, and the next contacts need fewer.
+        self.deferred = Vec::new();
+        (self.stiffened_elements, self.spare) = Default::default();
     }
 
     /// Flags elements with a corner whose total changed by more than `least` m along an axis since the last call.

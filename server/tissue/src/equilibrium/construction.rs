@@ -6,6 +6,7 @@ use super::brick::{Brick, CORNER};
 use super::coarsen::place;
 use super::hierarchy::{Hierarchy, Table, parts_over_bricks, parts_over_children, place_of};
 use super::kinds::Kinds;
+use super::quad::trim;
 use crate::Topology;
 use crate::cell::NO_CELL;
 
@@ -31,9 +32,11 @@ impl Places {
 
     /// Removes the elements from `count` on.
     pub(super) fn truncate(&mut self, count: usize) {
-        for (at, element) in self.of.drain(count..).zip(count as u32..) {
+        for (&at, element) in self.of[count..].iter().zip(count as u32..) {
             self.sorted.remove(&(at, element));
         }
+        trim(&mut self.of, count);
+        self.of.shrink_to(count + count / 4);
     }
 
     /// The elements at a place, ascending.

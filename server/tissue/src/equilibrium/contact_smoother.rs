@@ -30,7 +30,9 @@ impl ContactSmoother {
         self.bricks.clear();
         self.seen.clear();
         self.nodes.clear();
+        self.bricks.shrink(hierarchy.bricks.len());
         self.bricks.grow(hierarchy.bricks.len());
+        self.seen.shrink(hierarchy.prolongation.len());
         self.seen.grow(hierarchy.prolongation.len());
     }
 

@@ -13,7 +13,7 @@ use super::cycle::Multigrid;
 use super::fine_level::{FineLevel, OuterForces, SetChange};
 use super::hierarchy::{Hierarchy, Level};
 use super::hierarchy_change::{HierarchyChange, LevelChange};
-use super::quad::{ZERO, plus};
+use super::quad::{ZERO, plus, trim};
 use super::solver::Solver;
 use super::weight::weight_of;
 use crate::{Shape, Topology, Vec3};
@@ -32,14 +32,14 @@ impl Solver {
         if is_return {
             // Samples refer to nodes that may be gone.
             fine.remove_contacts(&self.hierarchy, &self.contacts.nodes);
-            self.contacts.clear();
+            self.contacts.forget();
         }
         fine.mark_applied(&self.hierarchy, coarse);
         coarse.clear_stiffness(&self.hierarchy);
         coarse.release_pending(&self.hierarchy, change, fine);
         let u = &mut shape.displacement;
         let current = fine.bring_up_to_date(&self.hierarchy, coarse, change, u);
-        u.truncate(change.stays);
+        trim(u, change.stays);
         for outcome in &change.outcomes {
             shape.follow(topology, outcome);
         }
@@ -204,15 +204,27 @@ impl FineLevel {
     /// Drops nodes and bricks that a change removes.
     fn shrink(&mut self, change: &HierarchyChange) {
         let (nodes, bricks) = (change.keeps.nodes, change.keeps.bricks);
-        self.applied.truncate(nodes);
-        self.fixed.truncate(nodes);
-        self.own.truncate(nodes);
-        self.weights.truncate(change.stays);
-        self.r.truncate(nodes);
-        self.forces.truncate(bricks);
-        self.block_sum.truncate(bricks);
-        self.block_sum_at_rest.truncate(change.keeps.forms);
-        self.blocks_at_rest.truncate(change.keeps.forms);
+        if nodes >= self.applied.len() {
+            return;
+        }
+        // The next step fills them again.
+        (self.kept, self.moved, self.old) = Default::default();
+        self.pressed = Vec::new();
+        trim(&mut self.applied, nodes);
+        trim(&mut self.fixed, nodes);
+        trim(&mut self.own, nodes);
+        trim(&mut self.weights, change.stays);
+        trim(&mut self.r, nodes);
+        trim(&mut self.d, nodes);
+        trim(&mut self.inverse, nodes);
+        trim(&mut self.blocks, nodes);
+        trim(&mut self.start, nodes);
+        trim(&mut self.inside, nodes);
+        trim(&mut self.free, nodes);
+        trim(&mut self.forces, bricks);
+        trim(&mut self.block_sum, bricks);
+        trim(&mut self.block_sum_at_rest, change.keeps.forms);
+        trim(&mut self.blocks_at_rest, change.keeps.forms);
         for list in [
             &mut self.nodes,
             &mut self.unbalanced,

@@ -490,6 +490,18 @@ impl Hierarchy {
     }
 }
 
+/// Notes the forms of changed bricks that several bricks share from now on.
+fn share_forms(change: &mut HierarchyChange) {
+    let mut shared: BTreeMap<u32, Option<bool>> =
+        change.forms.iter().map(|form| (form.0, None)).collect();
+    for (_, brick, _) in &change.bricks {
+        let is_shared = shared.entry(brick.form).or_insert(Some(true));
+        *is_shared = Some(is_shared.is_some());
+    }
+    let shared = shared.into_iter();
+    change.shared = shared.map(|(f, is)| (f, is.unwrap_or(false))).collect();
+}
+
 /// Cells around the nodes that a cut doubled: all whose corners or open faces changed.
 fn parted_cells(topology: &Topology, outcome: &CutOutcome) -> Changed {
     let nodes = outcome.doubled.iter().flat_map(|&(new, from)| [new, from]);
@@ -537,18 +549,6 @@ fn move_followers(
     for (element, row) in rows {
         nodes_of.set(element, &row);
     }
-}
-
-/// Notes the forms of changed bricks that several bricks share from now on.
-fn share_forms(change: &mut HierarchyChange) {
-    let mut shared: BTreeMap<u32, Option<bool>> =
-        change.forms.iter().map(|form| (form.0, None)).collect();
-    for (_, brick, _) in &change.bricks {
-        let is_shared = shared.entry(brick.form).or_insert(Some(true));
-        *is_shared = Some(is_shared.is_some());
-    }
-    let shared = shared.into_iter();
-    change.shared = shared.map(|(f, is)| (f, is.unwrap_or(false))).collect();
 }
 
 #[cfg(test)]

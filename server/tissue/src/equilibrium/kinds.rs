@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use super::brick::{Brick, DIRECTIONS, Form, LOCALS, SPAN};
 use super::element::{Matrix, Sum};
 use super::lanes::LANES;
+use super::quad::trim;
 
 /// Numbers of things that bricks or elements share, by their keys. A number that nothing uses any more is given to the
 /// next new thing: cuts replace forms all the time.
@@ -95,8 +96,8 @@ impl<K: Clone + Ord> Numbers<K> {
     /// Removes the numbers from `count` on, which nothing uses.
     fn truncate(&mut self, count: usize) {
         self.unused.split_off(&(count as u32));
-        self.keys.truncate(count);
-        self.uses.truncate(count);
+        trim(&mut self.keys, count);
+        trim(&mut self.uses, count);
     }
 }
 
@@ -141,7 +142,7 @@ impl LevelKinds {
 
     /// Returns to the first `count` matrices, some of which were others since.
     pub(super) fn restore(&mut self, count: usize, changed: &Numbered<Matrix>) {
-        self.matrices.truncate(count);
+        trim(&mut self.matrices, count);
         self.numbers.truncate(count);
         for (number, matrix) in changed {
             set_numbered(&mut self.matrices, *number, matrix);
@@ -210,7 +211,7 @@ impl Kinds {
 
     /// Returns to the first `count` forms, some of which were others since.
     pub(super) fn restore_forms(&mut self, count: usize, changed: &Numbered<Form>) {
-        self.forms.truncate(count);
+        trim(&mut self.forms, count);
         self.form_numbers.truncate(count);
         for (number, form) in changed {
             set_numbered(&mut self.forms, *number, form);

@@ -3,7 +3,7 @@
 
 use super::brick::LOCALS;
 use super::element::WEIGHTS;
-use super::quad::{Quad, ZERO, plus, reserve};
+use super::quad::{Quad, ZERO, plus, reserve, trim};
 
 /// Entry of a point that follows no coarse element.
 pub(crate) const FREE: u32 = u32::MAX;
@@ -88,8 +88,8 @@ impl Prolongation {
 
     /// Removes the points and elements from these numbers on.
     pub(crate) fn truncate(&mut self, points: usize, elements: usize) {
-        self.entries.truncate(points);
-        self.corners.truncate(elements);
+        trim(&mut self.entries, points);
+        trim(&mut self.corners, elements);
     }
 
     /// Makes room for the points and elements that cuts will add.

@@ -22,6 +22,9 @@ pub(crate) fn plus(a: &Quad, w: f32, b: &Quad) -> Quad {
 /// that grows beyond is copied, which takes milliseconds on the hand's thread.
 const ROOM: usize = 4;
 
+/// Part of the usual memory by which a vector may exceed it after an undo.
+pub(crate) const SLACK: usize = 32;
+
 /// Makes room for the items that cuts will add.
 pub(crate) fn reserve<T>(values: &mut Vec<T>) {
     let room = values.len() / ROOM;
@@ -36,6 +39,19 @@ pub(crate) fn overlaid<T>(earlier: Vec<(u32, T)>, mut later: Vec<(u32, T)>) -> V
     later.sort_by_key(|item| item.0);
     later.dedup_by_key(|item| item.0);
     later
+}
+
+/// Removes the items from `len` on, and returns memory that exceeds the usual room. It copies the vector only if cuts had made
+/// it grow beyond that room.
+pub(crate) fn trim<T>(values: &mut Vec<T>, len: usize) {
+    if len >= values.len() {
+        return;
+    }
+    values.truncate(len);
+    let usual = values.len() + values.len() / ROOM;
+    if values.capacity() > usual + usual / SLACK {
+        values.shrink_to(usual);
+    }
 }
 
 /// A vector of `len` copies in committed memory. `vec!` of zeros commits pages at the first write, which made the first

@@ -259,11 +259,11 @@ impl Hierarchy {
             kinds.levels[l].restore(keeps.matrices, &level.matrices);
             for &(element, matrix) in &level.matrix {
                 let children = self.levels[l].children.row(element);
-                let parts = if let Some(below) = l.checked_sub(1) {
-                    parts_over_children(&self.levels[below], children)
-                } else {
+                let parts = if l == 0 {
                     let bricks = children.iter().map(|&b| &self.bricks[b as usize]);
                     parts_over_bricks(topology, bricks)
+                } else {
+                    parts_over_children(&self.levels[l - 1], children)
                 };
                 kinds.levels[l].take_back(matrix, parts);
             }

@@ -1,6 +1,7 @@
 //! Numbers of the items of a hierarchy.
 
 use super::hierarchy::{Hierarchy, Level};
+use super::quad::trim;
 
 /// Numbers of items of a level.
 #[derive(Clone, Default)]
@@ -45,23 +46,23 @@ impl Hierarchy {
                 self.nodes_of.set(element, &row);
             }
         }
-        self.bricks.truncate(keeps.bricks);
-        self.element_of.truncate(keeps.bricks);
-        self.forms.truncate(keeps.forms);
-        self.shared.truncate(keeps.forms);
+        trim(&mut self.bricks, keeps.bricks);
+        trim(&mut self.element_of, keeps.bricks);
+        trim(&mut self.forms, keeps.forms);
+        trim(&mut self.shared, keeps.forms);
         self.around.truncate(keeps.nodes);
         self.nodes_of.truncate(keeps.levels[0].elements);
         self.prolongation
             .truncate(keeps.nodes, keeps.levels[0].elements);
         for (l, (level, keeps_here)) in self.levels.iter_mut().zip(&keeps.levels).enumerate() {
-            level.corners.truncate(keeps_here.elements);
-            level.matrix.truncate(keeps_here.elements);
-            level.matrices.truncate(keeps_here.matrices);
+            trim(&mut level.corners, keeps_here.elements);
+            trim(&mut level.matrix, keeps_here.elements);
+            trim(&mut level.matrices, keeps_here.matrices);
             level.children.truncate(keeps_here.elements);
-            level.parent.truncate(keeps_here.elements);
-            level.octant.truncate(keeps_here.elements);
+            trim(&mut level.parent, keeps_here.elements);
+            trim(&mut level.octant, keeps_here.elements);
             level.around.truncate(keeps_here.points);
-            level.bound.truncate(keeps_here.points);
+            trim(&mut level.bound, keeps_here.points);
             let above = keeps.levels.get(l + 1).map_or(0, |above| above.elements);
             level.prolongation.truncate(keeps_here.points, above);
         }

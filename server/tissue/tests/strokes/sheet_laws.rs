@@ -14,7 +14,7 @@ use super::sheet_figures::{Kind, cell_figures, drift, origin, sheet_nodes};
 const ON: f64 = 0.05;
 /// Least corner determinant and shortest spring of a cell that a cut moved, in spacings; less only where the cell had less
 /// before.
-const FLOORS: [f64; 2] = [0.0099, 0.2999];
+const FLOORS: [f64; 2] = [0.0199, 0.2999];
 /// Farthest that a node may leave its interfaces as built, in spacings.
 const DRIFT_MAX: f64 = 0.1;
 

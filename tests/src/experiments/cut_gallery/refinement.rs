@@ -124,9 +124,11 @@ mod tests {
         let figure = |row: usize, name: &str| rows[row][name].as_f64().unwrap();
         assert_eq!(figure(0, "cells"), figure(1, "cells"));
         assert_eq!(figure(1, "inverted"), 0.0);
-        for name in ["worst", "p5", "mean"] {
+        for name in ["worst", "mean"] {
             assert!(figure(1, name) > figure(0, name), "{name}: {rows:?}");
         }
+        // The twentieth worst cells lie between nodes of the sheet, which do not leave it.
+        assert!(figure(1, "p5") >= figure(0, "p5"), "{rows:?}");
         assert!(figure(1, "shortest_spring") >= 0.3 - 1e-9);
     }
 }
