@@ -203,7 +203,8 @@ impl Timeline {
                 self.correction = None;
             }
         }
-        shown.returns = self.held_until.is_some_and(|until| t - until < RETURN);
+        let began = |until: ServerTime| (Span::ZERO..RETURN).contains(&(t - until));
+        shown.returns = self.held_until.is_some_and(began);
         self.last = Some(LastShown { at: t, shown, raw });
         Some(shown)
     }
