@@ -1,12 +1,13 @@
 //! Stalls of a session: times in which the network has delivered no motion for too long.
 //!
-//! They follow from the fates of packets and the playout delay D, never from a result. For each ordered pair of
-//! trainees, the newest packet of one at the server was sent a µs ago, and the newest packet of the server at the other
-//! b µs ago:
+//! They follow from the fates of packets alone, neither from a result nor from the playout delay D, which may be wrong.
+//! For each ordered pair of trainees, the newest packet of one at the server was sent a µs ago, and the newest packet of
+//! the server at the other b µs ago:
 //!
 //! ```text
-//! stall   b + a (at the time of sending b) > D + 50 ms      beyond what extrapolation bridges
-//!         until 200 ms after the end of this
+//! age        b + a (at the time of sending b);  m = its median over the session
+//! stall      age > m + 50 ms, and at some time > m + 200 ms     beyond extrapolation, and no jitter
+//!            until 200 ms after the end of this
 //! ```
 
 use palpate_client::Recording;
@@ -17,6 +18,9 @@ use crate::simulated_session::Sent;
 
 /// Times at which stalls are tested, µs.
 const GRID_US: i64 = 1000;
+
+/// Age beyond its median from which a lack of motion is a stall. Less is jitter, which the compensation has to bridge.
+const STALL_US: i64 = 200_000;
 
 /// Disjoint intervals in µs of true time, in order.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -50,27 +54,40 @@ impl Newest {
     }
 }
 
+/// The stalls of one pair, from its ages over time.
+fn beyond_median(ages: &[(i64, i64)]) -> Vec<(i64, i64)> {
+    let mut sorted: Vec<i64> = ages.iter().map(|a| a.1).collect();
+    sorted.sort_unstable();
+    let Some(median) = sorted.get(sorted.len() / 2) else {
+        return Vec::new();
+    };
+    let is_late = |age: i64| age > median + GAP_LIMIT.as_micros();
+    let runs = ages.chunk_by(|a, b| is_late(a.1) == is_late(b.1));
+    let stalls = runs.filter(|run| run.iter().any(|a| a.1 > median + STALL_US));
+    stalls
+        .filter_map(|run| Some((run.first()?.0, run.last()?.0 + GRID_US + RETURN.as_micros())))
+        .collect()
+}
+
 impl Stalls {
     /// The stalls between trainees, whose recordings are in the order of their seats.
     pub fn between(sent: &[Sent], recordings: &[Recording]) -> Self {
         let mut stalled = Vec::new();
         for (to, recording) in recordings.iter().enumerate() {
+            let ends = recording.views.first().zip(recording.views.last());
+            let Some((first, last)) = ends.map(|(a, b)| (a.shown_us, b.shown_us)) else {
+                continue;
+            };
             let down = Newest::of(sent, to, Direction::Down);
             for from in (0..recordings.len()).filter(|from| *from != to) {
                 let up = Newest::of(sent, from, Direction::Up);
-                let views = recording.views.windows(2);
-                for (t, delay_us) in views.flat_map(|pair| {
-                    let times = (pair[0].shown_us..pair[1].shown_us).step_by(GRID_US as usize);
-                    times.map(|t| (t, pair[0].delay_us))
-                }) {
-                    let Some(sent_us) = down.sent_by(t).and_then(|at_server| up.sent_by(at_server))
-                    else {
-                        continue;
-                    };
-                    if t - sent_us > delay_us + GAP_LIMIT.as_micros() {
-                        stalled.push((t, t + GRID_US + RETURN.as_micros()));
-                    }
-                }
+                let ages = (first..last).step_by(GRID_US as usize).filter_map(|t| {
+                    let sent_us = down
+                        .sent_by(t)
+                        .and_then(|at_server| up.sent_by(at_server))?;
+                    Some((t, t - sent_us))
+                });
+                stalled.extend(beyond_median(&ages.collect::<Vec<_>>()));
             }
         }
         stalled.sort_unstable();
@@ -116,7 +133,7 @@ mod tests {
     use super::*;
     use crate::simulated_session::Part;
 
-    /// Two trainees with packets every 4 ms, 30 ms per link, and D = 70 ms; `fate` may change an arrival at the server
+    /// Two trainees with packets every 4 ms, 30 ms per link; `fate` may change an arrival at the server
     /// or at the second trainee.
     fn stalls(fate: impl Fn(i64, Direction) -> Option<i64>) -> Vec<(i64, i64)> {
         let packet = |seat, direction, at_us: i64, arrives: Option<i64>| Sent {
@@ -143,7 +160,6 @@ mod tests {
         }
         let view = |k: i64| ViewRecord {
             shown_us: k * 16_000,
-            delay_us: 70_000,
             ..ViewRecord::default()
         };
         let recording = Recording {
@@ -161,11 +177,12 @@ mod tests {
             let is_lost = direction == Direction::Up && (1_000_000..1_600_000).contains(&t);
             (!is_lost).then_some(t + 30_000)
         };
-        // The last packet before is 996 ms old, the next one is at the other trainee at 1660 ms.
+        // Packets are 60 to 68 ms old (64 in the median). The last one before was sent at 996 ms, the next one is at the other
+        // trainee at 1660 ms.
         let [(from, until)] = stalls(outage)[..] else {
             panic!("{:?}", stalls(outage));
         };
-        assert!((from - (996_000 + 120_000)).abs() <= 2000, "{from}");
+        assert!((from - (996_000 + 114_000)).abs() <= 2000, "{from}");
         assert!((until - 1_860_000).abs() <= 6000, "{until}");
         let held = |t: i64, direction| {
             let is_held = direction == Direction::Down && (1_000_000..1_700_000).contains(&t);
@@ -174,20 +191,20 @@ mod tests {
         let [(from, until)] = stalls(held)[..] else {
             panic!("{:?}", stalls(held));
         };
-        assert!((from - (964_000 + 120_000)).abs() <= 4000, "{from}");
+        assert!((from - (964_000 + 114_000)).abs() <= 4000, "{from}");
         assert!((until - 1_930_000).abs() <= 2000, "{until}");
     }
 
     #[test]
-    fn gap_that_extrapolation_bridges_is_no_stall() {
-        let late = |t: i64, _| {
-            Some(if (1_000_000..1_040_000).contains(&t) {
-                1_075_000
-            } else {
-                t + 30_000
-            })
-        };
-        assert_eq!(stalls(late), []);
+    fn gap_that_the_compensation_bridges_is_no_stall() {
+        for (held_ms, is_stall) in [(75, false), (180, false), (240, true)] {
+            let until = 1_000_000 + 1000 * held_ms;
+            let late = |t: i64, _| {
+                let held = (1_000_000..until - 40_000).contains(&t);
+                Some(if held { until } else { t + 30_000 })
+            };
+            assert_eq!(!stalls(late).is_empty(), is_stall, "{held_ms}");
+        }
     }
 
     #[test]

@@ -50,7 +50,7 @@ impl Input {
 /// Callback for progress: the activity and the completed share.
 pub(super) type Progress<'a> = dyn FnMut(&str, f64) + Send + 'a;
 
-#[derive(Debug, Clone, Default)]
+#[derive(Clone, Default)]
 pub struct Inputs {
     pub model: Option<Arc<Model>>,
     pub seed: Option<u64>,

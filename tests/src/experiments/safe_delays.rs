@@ -3,34 +3,34 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::alignment::Alignment;
-use crate::network::Profile;
 
-#[derive(Debug)]
 struct Found {
-    profile: Profile,
-    seed: u64,
+    of: Alignment,
     safe_ms: Option<u32>,
 }
 
-/// The delays found so far. Clones share them; all experiments of a run have the same hand motion.
-#[derive(Debug, Clone, Default)]
+fn is_same(a: &Alignment, b: &Alignment) -> bool {
+    let is_same_motion = match (&a.motion, &b.motion) {
+        (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+        (a, b) => a.is_none() && b.is_none(),
+    };
+    (a.seed, &a.profile) == (b.seed, &b.profile) && is_same_motion
+}
+
+/// The delays found so far. Clones share them.
+#[derive(Clone, Default)]
 pub(super) struct SafeDelays(Arc<Mutex<Vec<Found>>>);
 
 impl SafeDelays {
     /// The smallest safe fixed delay of an alignment, if any; `told` receives each tried delay.
     pub(super) fn of(&self, alignment: &Alignment, told: &mut dyn FnMut(u32)) -> Option<u32> {
         let mut found = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let (profile, seed) = (&alignment.profile, alignment.seed);
-        if let Some(known) = found
-            .iter()
-            .find(|f| f.seed == seed && f.profile == *profile)
-        {
+        if let Some(known) = found.iter().find(|f| is_same(&f.of, alignment)) {
             return known.safe_ms;
         }
         let safe_ms = alignment.smallest_safe_fixed_ms(told);
         found.push(Found {
-            profile: profile.clone(),
-            seed,
+            of: alignment.clone(),
             safe_ms,
         });
         safe_ms
@@ -40,25 +40,30 @@ impl SafeDelays {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::hand::{Hand, HandParameters, Random};
+    use crate::network::Profile;
 
     #[test]
-    fn delay_is_searched_once_per_network_and_seed() {
+    fn delay_is_searched_once_per_network_seed_and_motion() {
         let delays = SafeDelays::default();
-        let search = |delays: &SafeDelays, name: &str, seed| {
+        let search = |delays: &SafeDelays, name: &str, seed, motion: Option<Arc<dyn Hand>>| {
             let alignment = Alignment {
                 profile: Profile::named(name).unwrap(),
                 seed,
-                motion: None,
+                motion,
             };
             let mut tried = 0;
             let safe_ms = delays.of(&alignment, &mut |_| tried += 1);
             (safe_ms, tried > 0)
         };
-        let first = search(&delays, "lan", 1);
+        let first = search(&delays, "lan", 1, None);
         assert!(first.0.is_some() && first.1);
-        assert_eq!(search(&delays.clone(), "lan", 1), (first.0, false));
-        assert!(search(&delays, "lan", 2).1);
-        let metro = search(&delays, "metro", 1);
+        assert_eq!(search(&delays.clone(), "lan", 1, None), (first.0, false));
+        assert!(search(&delays, "lan", 2, None).1);
+        let metro = search(&delays, "metro", 1, None);
         assert!(metro.1 && metro.0 > first.0, "{metro:?}");
+        let hand: Arc<dyn Hand> = Arc::new(Random::new(HandParameters::default(), 1));
+        assert!(search(&delays, "lan", 1, Some(Arc::clone(&hand))).1);
+        assert!(!search(&delays, "lan", 1, Some(hand)).1);
     }
 }

@@ -209,6 +209,7 @@ const COLUMNS: &[Column] = &[
     ("force_rms_percent", "force_error_rms", 100.0),
     ("force_p95_percent", "force_error_p95", 100.0),
     ("stalls_percent", "stalls.share", 100.0),
+    ("dropouts", "dropouts", 1.0),
     (
         "shape_p95_outside_mm",
         "outside_stalls.shape_disagreement_mm.p95",
