@@ -278,7 +278,6 @@ impl FineLevel {
         self.nodes.clear();
         self.set.clear();
         self.left.clear();
-        self.increments.clear();
         self.shrink(change);
         let new = self.fixed.len() as u32..nodes as u32;
         self.fixed.extend(new.map(|n| topology.is_pinned(n)));
