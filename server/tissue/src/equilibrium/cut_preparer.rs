@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::chain::Chain;
 use super::construction::Construction;
 use super::contact_smoother::ContactSmoother;
 use super::cycle::Multigrid;
@@ -39,22 +40,23 @@ struct Replay<'a> {
     construction: &'a mut Construction,
     journal: &'a mut Journal,
     /// All changes so far.
-    change: Option<HierarchyChange>,
+    changes: Chain<HierarchyChange>,
+    /// Parts cut so far.
+    cuts: usize,
+    /// Nodes and cuts up to the stroke that is taken back.
+    reached: Option<(usize, usize)>,
     is_rebuilt: bool,
 }
 
 impl Replay<'_> {
-    fn add(&mut self, change: HierarchyChange) {
-        self.change = Some(match self.change.take() {
-            Some(earlier) => {
-                let stays = earlier.stays;
-                HierarchyChange {
-                    stays,
-                    ..earlier.then(change)
-                }
-            }
-            None => change,
-        });
+    /// All changes as one; `None` if the levels are new.
+    fn change(self) -> Option<HierarchyChange> {
+        let mut change = self.changes.joined()?;
+        if let Some((nodes, cuts)) = self.reached {
+            change.stays = nodes;
+            change.outcomes.drain(..cuts);
+        }
+        Some(change)
     }
 }
 
@@ -62,7 +64,7 @@ impl Follower for Replay<'_> {
     fn rewind(&mut self, topology: &Topology, parts: usize) {
         if let Some(way) = self.journal.take(parts, self.hierarchy) {
             let change = self.hierarchy.go_back(self.construction, topology, way);
-            self.add(change);
+            self.changes.push(change);
         } else {
             *self.hierarchy = Hierarchy::new(topology);
             *self.construction = Construction::of(topology, self.hierarchy);
@@ -72,10 +74,7 @@ impl Follower for Replay<'_> {
     }
 
     fn reach(&mut self, topology: &Topology) {
-        if let Some(change) = &mut self.change {
-            change.stays = topology.node_count();
-            change.outcomes.clear();
-        }
+        self.reached = Some((topology.node_count(), self.cuts));
     }
 
     fn advance(&mut self, topology: &Topology, parts: usize, outcome: CutOutcome) {
@@ -84,7 +83,8 @@ impl Follower for Replay<'_> {
         let (change, way) = follow(self.hierarchy, self.construction, topology, &outcome);
         self.journal.push(parts, way);
         if !self.is_rebuilt {
-            self.add(change);
+            self.changes.push(change);
+            self.cuts += 1;
         }
     }
 }
@@ -196,11 +196,13 @@ impl CutPreparer {
             hierarchy: &mut self.hierarchy,
             construction: &mut self.construction,
             journal: &mut self.journal,
-            change: None,
+            changes: Chain::new(HierarchyChange::then),
+            cuts: 0,
+            reached: None,
             is_rebuilt: false,
         };
         let outcome = change(&mut self.history, &mut self.topology, &mut replay)?;
-        let change = replay.change;
+        let change = replay.change();
         let made = self.follow(Arc::new(outcome), change);
         Some(self.unfinished(Rest::Nothing(Box::new(made))))
     }
