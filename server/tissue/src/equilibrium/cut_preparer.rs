@@ -18,7 +18,7 @@ use super::journal::Journal;
 use super::reference_state::ReferenceState;
 use super::solver::Solver;
 use super::weight::weights;
-use crate::contact::SurfaceIndex;
+use crate::contact::{SurfaceIndex, SurfaceTree, TreeRoom};
 use crate::cut::{CutError, CutOutcome, StrokePart};
 use crate::cut_history::{CutHistory, Follower};
 use crate::{Shape, Topology};
@@ -31,6 +31,7 @@ pub struct CutPreparer {
     pub(super) hierarchy: Hierarchy,
     pub(super) construction: Construction,
     journal: Journal,
+    room: TreeRoom,
     reference_state: Option<Arc<ReferenceState>>,
 }
 
@@ -95,6 +96,8 @@ pub struct PreparedCut {
     pub(crate) history: CutHistory,
     pub(crate) outcome: Arc<CutOutcome>,
     pub(super) levels: Levels,
+    /// Tree of the surface, if that of a tissue keeps too much memory.
+    tree: Option<SurfaceTree>,
     reference_state: Option<Arc<ReferenceState>>,
 }
 
@@ -132,7 +135,8 @@ pub(super) struct Rebuilt {
 pub struct Retired {
     _topology: Arc<Topology>,
     _history: CutHistory,
-    _levels: Option<Box<Rebuilt>>,
+    _levels: Levels,
+    _tree: Option<SurfaceTree>,
 }
 
 impl PreparedCut {
@@ -243,7 +247,8 @@ impl CutPreparer {
                 self.reference_state.as_deref(),
             );
         }
-        self.prepared(outcome, levels)
+        let builds_tree = self.room.follow(&self.topology);
+        self.prepared(outcome, levels, builds_tree)
     }
 
     fn rebuilt(&self) -> Levels {
@@ -266,15 +271,16 @@ impl CutPreparer {
             Levels::Changed(change) => Levels::Changed(Arc::clone(change)),
             Levels::Rebuilt(_) => self.rebuilt(),
         };
-        self.prepared(Arc::clone(&cut.outcome), levels)
+        self.prepared(Arc::clone(&cut.outcome), levels, cut.tree.is_some())
     }
 
-    fn prepared(&self, outcome: Arc<CutOutcome>, levels: Levels) -> PreparedCut {
+    fn prepared(&self, outcome: Arc<CutOutcome>, levels: Levels, builds_tree: bool) -> PreparedCut {
         PreparedCut {
             topology: Arc::clone(&self.topology),
             history: self.history.clone(),
             outcome,
             levels,
+            tree: builds_tree.then(|| SurfaceTree::of(&self.topology)),
             reference_state: self.reference_state.clone(),
         }
     }
@@ -319,6 +325,7 @@ impl Solver {
             construction: Construction::of(topology, &self.hierarchy),
             journal: Journal::new(history.done().len()),
             history,
+            room: TreeRoom::of(topology),
             hierarchy: self.hierarchy.clone(),
             reference_state: self.reference_state.clone(),
         }
@@ -330,27 +337,26 @@ impl Solver {
         topology: &mut Arc<Topology>,
         history: &mut CutHistory,
         shape: &mut Shape,
-        cut: PreparedCut,
+        mut cut: PreparedCut,
     ) -> Retired {
-        let levels = match cut.levels {
+        match &mut cut.levels {
             Levels::Changed(change) => {
-                self.follow(&cut.topology, shape, &change);
-                None
+                self.follow(&cut.topology, shape, change, cut.tree.as_mut());
             }
-            Levels::Rebuilt(mut rebuilt) => {
+            Levels::Rebuilt(rebuilt) => {
                 self.prolongate_all(shape);
                 shape.follow(&cut.topology, &cut.outcome);
-                self.replace_levels(&cut.topology, &mut rebuilt);
-                Some(rebuilt)
+                self.replace_levels(&cut.topology, rebuilt);
             }
-        };
+        }
         // A cut changes the equilibrium under gravity.
         self.fine.at_reference &= cut.reference_state.is_none();
         self.reference_state = cut.reference_state;
         Retired {
             _topology: std::mem::replace(topology, cut.topology),
             _history: std::mem::replace(history, cut.history),
-            _levels: levels,
+            _levels: cut.levels,
+            _tree: cut.tree,
         }
     }
 

@@ -16,15 +16,18 @@ use super::hierarchy_change::{HierarchyChange, LevelChange};
 use super::quad::{ZERO, plus, trim};
 use super::solver::Solver;
 use super::weight::weight_of;
+use crate::contact::SurfaceTree;
 use crate::{Shape, Topology, Vec3};
 
 impl Solver {
-    /// Follows a change that made `topology`: a cut, an undo, a redo or a reset.
+    /// Follows a change that made `topology`: a cut, an undo, a redo or a reset. A tree of its surface is exchanged for the
+    /// present one.
     pub(super) fn follow(
         &mut self,
         topology: &Topology,
         shape: &mut Shape,
         change: &HierarchyChange,
+        tree: Option<&mut SurfaceTree>,
     ) {
         self.forget_removed(change.stays);
         let (fine, coarse) = (&mut self.fine, &mut self.coarse);
@@ -59,7 +62,7 @@ impl Solver {
             fine.displaced = fine.displaced.max(shape.displacement[node as usize].norm());
         }
         self.contact_smoother.follow(&self.hierarchy);
-        self.contacts.follow(topology, &change.surface);
+        self.contacts.follow(topology, &change.surface, tree);
         self.report.steady = false;
         self.dirty = true;
     }
