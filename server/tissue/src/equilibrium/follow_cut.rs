@@ -8,7 +8,7 @@
 //! An undo removes nodes and points. Nodes and points around then follow other points of the coarser levels, so the
 //! displacements of these count as received: no remaining node moves.
 
-use super::coarse_level::{CoarseLevel, NONE, invert, update_total};
+use super::coarse_level::{CoarseLevel, List, NONE, invert, update_total};
 use super::cycle::Multigrid;
 use super::fine_level::{FineLevel, OuterForces, SetChange};
 use super::hierarchy::{Hierarchy, Level};
@@ -204,6 +204,27 @@ impl FineLevel {
         }
     }
 
+    fn node_lists(&mut self) -> [&mut List; 7] {
+        [
+            &mut self.nodes,
+            &mut self.unbalanced,
+            &mut self.below_threshold,
+            &mut self.disturbed,
+            &mut self.touched,
+            &mut self.moved_on,
+            &mut self.settled,
+        ]
+    }
+
+    fn brick_lists(&mut self) -> [&mut List; 4] {
+        [
+            &mut self.set,
+            &mut self.left,
+            &mut self.stale,
+            &mut self.computed,
+        ]
+    }
+
     /// Drops nodes and bricks that a change removes.
     fn shrink(&mut self, change: &HierarchyChange) {
         let (nodes, bricks) = (change.keeps.nodes, change.keeps.bricks);
@@ -228,23 +249,10 @@ impl FineLevel {
         trim(&mut self.block_sum, bricks);
         trim(&mut self.block_sum_at_rest, change.keeps.forms);
         trim(&mut self.blocks_at_rest, change.keeps.forms);
-        for list in [
-            &mut self.nodes,
-            &mut self.unbalanced,
-            &mut self.below_threshold,
-            &mut self.disturbed,
-            &mut self.touched,
-            &mut self.moved_on,
-            &mut self.settled,
-        ] {
+        for list in self.node_lists() {
             list.shrink(nodes);
         }
-        for list in [
-            &mut self.set,
-            &mut self.left,
-            &mut self.stale,
-            &mut self.computed,
-        ] {
+        for list in self.brick_lists() {
             list.shrink(bricks);
         }
         self.required.shrink(change.keeps.levels[0].elements);
@@ -308,23 +316,10 @@ impl FineLevel {
             self.block_sum_at_rest[*form as usize] = None;
             self.blocks_at_rest[*form as usize] = None;
         }
-        for list in [
-            &mut self.nodes,
-            &mut self.unbalanced,
-            &mut self.below_threshold,
-            &mut self.disturbed,
-            &mut self.touched,
-            &mut self.moved_on,
-            &mut self.settled,
-        ] {
+        for list in self.node_lists() {
             list.grow(nodes);
         }
-        for list in [
-            &mut self.set,
-            &mut self.left,
-            &mut self.stale,
-            &mut self.computed,
-        ] {
+        for list in self.brick_lists() {
             list.grow(bricks);
         }
         self.required.grow(hierarchy.levels[0].corners.len());
@@ -376,17 +371,10 @@ impl CoarseLevel {
         }
         self.stiffness_of.resize(elements, NONE);
         self.grow_pending(elements);
-        for list in [&mut self.set, &mut self.refined, &mut self.to_refine] {
+        for list in self.element_lists() {
             list.grow(elements);
         }
-        for list in [
-            &mut self.points,
-            &mut self.loaded,
-            &mut self.corrected,
-            &mut self.outer_points,
-            &mut self.deferred_points,
-            &mut self.stiffened,
-        ] {
+        for list in self.point_lists() {
             list.grow(points);
         }
         for point in change.points() {
