@@ -6,7 +6,7 @@ use super::contact_sample::{Sample, depth, sample};
 use super::line_search::{LineSearch, Row, TieRow};
 use super::proxy::Proxy;
 use super::surface::{Foot, Surface, blend};
-use super::surface_index::{SurfaceChange, SurfaceIndex};
+use super::surface_index::{SurfaceChange, SurfaceIndex, SurfaceTree};
 use super::tie::{Held, Spread};
 use super::{TOOLS_MAX, Tool};
 use crate::equilibrium::{Disabled, Mechanism, laid_out, trim};
@@ -55,11 +55,16 @@ impl Contacts {
         std::mem::swap(&mut self.index, index);
     }
 
-    /// Follows a cut.
-    pub(crate) fn follow(&mut self, topology: &Topology, change: &SurfaceChange) {
+    /// Follows a cut or an undo.
+    pub(crate) fn follow(
+        &mut self,
+        topology: &Topology,
+        change: &SurfaceChange,
+        tree: Option<&mut SurfaceTree>,
+    ) {
         trim(&mut self.place, topology.node_count());
         self.place.resize(topology.node_count(), NONE);
-        self.index.follow(topology, change);
+        self.index.follow(topology, change, tree);
     }
 
     /// Sets the tools of a step. Returns whether any tool changed.

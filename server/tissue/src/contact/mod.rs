@@ -54,7 +54,7 @@ pub use tool::{Form, Needle, TOOL_REACH_MAX_M, Tool};
 
 pub(crate) use contacts::Contacts;
 pub(crate) use line_search::LineSearch;
-pub(crate) use surface_index::{SurfaceChange, SurfaceIndex};
+pub(crate) use surface_index::{SurfaceChange, SurfaceIndex, SurfaceTree, TreeRoom};
 
 /// Contact penalty stiffness relative to that of the nodes.
 pub(crate) const FOUNDATION: f64 = 20.0;

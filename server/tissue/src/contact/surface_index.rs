@@ -83,12 +83,41 @@ impl SurfaceChange {
     }
 }
 
+/// The tree over the boxes of all triangles at rest.
+pub(crate) struct SurfaceTree(Bvh);
+
+impl SurfaceTree {
+    pub(crate) fn of(topology: &Topology) -> Self {
+        let triangles = topology.exposed.triangles.iter().flatten();
+        let boxes = triangles.map(|t| rest_box(topology, t)).enumerate();
+        Self(Bvh::from_iter(BvhBuildStrategy::Binned, boxes))
+    }
+}
+
+/// Number of triangles for which trees keep memory. Trees that follow undos give none back, so the thread of cuts builds new ones.
+#[derive(Clone)]
+pub(crate) struct TreeRoom(usize);
+
+impl TreeRoom {
+    pub(crate) fn of(topology: &Topology) -> Self {
+        Self(topology.exposed.faces.len())
+    }
+
+    /// Follows a change of the surface; whether trees need to be built again.
+    pub(crate) fn follow(&mut self, topology: &Topology) -> bool {
+        let now = Self::of(topology).0;
+        let is_exceeded = now < self.0 - self.0 / SLACK;
+        self.0 = if is_exceeded { now } else { now.max(self.0) };
+        is_exceeded
+    }
+}
+
 #[derive(Clone)]
 pub(crate) struct SurfaceIndex {
     /// Tree of rest positions; leaf `t` is triangle `t`.
     tree: Bvh,
-    /// Largest number of triangles since the tree was built; it keeps their memory.
-    room: usize,
+    /// Number of triangles.
+    count: u32,
     node_triangles: Rows<u32>,
     watched: Watched,
     spacing: f64,
@@ -99,8 +128,8 @@ pub(crate) struct SurfaceIndex {
 impl SurfaceIndex {
     pub(crate) fn new(topology: &Topology) -> Self {
         Self {
-            tree: tree_of(topology),
-            room: 2 * topology.exposed.triangles.len(),
+            tree: SurfaceTree::of(topology).0,
+            count: 2 * topology.exposed.faces.len() as u32,
             node_triangles: node_triangles(topology),
             watched: Watched::new(topology.node_count()),
             spacing: topology.model().spacing_m,
@@ -108,17 +137,29 @@ impl SurfaceIndex {
         }
     }
 
-    /// Follows a cut or an undo: refits the boxes of changed triangles, removes those that are gone and inserts new ones.
-    pub(crate) fn follow(&mut self, topology: &Topology, change: &SurfaceChange) {
-        let count = 2 * topology.exposed.faces.len() as u32;
-        let is_known = |t: &u32| self.tree.leaf_node(*t).is_some();
-        let gone: Vec<u32> = (count..self.room as u32).filter(is_known).collect();
-        for t in gone {
-            self.tree.remove(t);
+    /// Follows a cut or an undo. A tree of the new surface is exchanged for the present one.
+    pub(crate) fn follow(
+        &mut self,
+        topology: &Topology,
+        change: &SurfaceChange,
+        tree: Option<&mut SurfaceTree>,
+    ) {
+        match tree {
+            Some(tree) => std::mem::swap(&mut self.tree, &mut tree.0),
+            None => self.update_tree(topology, change),
         }
+        self.count = 2 * topology.exposed.faces.len() as u32;
         self.node_triangles.truncate(topology.node_count());
         for (node, row) in &change.around {
             self.node_triangles.set(*node, row);
+        }
+        self.watched.follow(topology.node_count());
+    }
+
+    /// Refits the boxes of changed triangles, removes those that are gone and inserts new ones.
+    fn update_tree(&mut self, topology: &Topology, change: &SurfaceChange) {
+        for t in 2 * topology.exposed.faces.len() as u32..self.count {
+            self.tree.remove(t);
         }
         let mut changed = Vec::with_capacity(change.boxes.len());
         for &(t, new) in &change.boxes {
@@ -129,12 +170,6 @@ impl SurfaceIndex {
         }
         // Insertion only widens boxes on the way to the root; this makes them tight again.
         self.tree.refit_partial(&[], &changed);
-        let count = count as usize;
-        self.room = self.room.max(count);
-        if count < self.room - self.room / SLACK {
-            (self.tree, self.room) = (tree_of(topology), count);
-        }
-        self.watched.follow(topology.node_count());
     }
 
     /// Refits the regions of the following searches, in the surface displaced by `u`, with displacements of at most
@@ -264,13 +299,6 @@ impl SurfaceIndex {
     pub(super) fn heap_bytes(&self) -> usize {
         self.tree.heap_memory_size() + self.node_triangles.heap_bytes() + self.watched.heap_bytes()
     }
-}
-
-/// The tree over the boxes of all triangles at rest.
-fn tree_of(topology: &Topology) -> Bvh {
-    let triangles = topology.exposed.triangles.iter().flatten();
-    let boxes = triangles.map(|t| rest_box(topology, t)).enumerate();
-    Bvh::from_iter(BvhBuildStrategy::Binned, boxes)
 }
 
 fn rest_box(topology: &Topology, nodes: &[u32; 3]) -> Aabb {

@@ -131,7 +131,7 @@ proptest! {
                     let stroke = CutStroke { points: vec![point(from), point(to)], width_m: 0.0 };
                     if let Ok(outcome) = cut(&mut topology, &stroke) {
                         u.resize(topology.node_count(), Vec3::zeros());
-                        index.follow(&topology, &SurfaceChange::of(&topology, &outcome.touched));
+                        index.follow(&topology, &SurfaceChange::of(&topology, &outcome.touched), None);
                     }
                 }
                 Event::Search(balls) => {

@@ -236,22 +236,32 @@ impl CoarseLevel {
         }
     }
 
-    /// Drops the elements and points from these numbers on.
-    pub(super) fn shrink(&mut self, elements: usize, points: usize) {
-        if points >= self.total.len() && elements >= self.pending.len() {
-            return;
-        }
-        for list in [&mut self.set, &mut self.refined, &mut self.to_refine] {
-            list.shrink(elements);
-        }
-        for list in [
+    /// Lists of elements that keep room for all of them.
+    pub(super) fn element_lists(&mut self) -> [&mut List; 3] {
+        [&mut self.set, &mut self.refined, &mut self.to_refine]
+    }
+
+    /// Lists of points that keep room for all of them.
+    pub(super) fn point_lists(&mut self) -> [&mut List; 6] {
+        [
             &mut self.points,
             &mut self.loaded,
             &mut self.corrected,
             &mut self.outer_points,
             &mut self.deferred_points,
             &mut self.stiffened,
-        ] {
+        ]
+    }
+
+    /// Drops the elements and points from these numbers on.
+    pub(super) fn shrink(&mut self, elements: usize, points: usize) {
+        if points >= self.total.len() && elements >= self.pending.len() {
+            return;
+        }
+        for list in self.element_lists() {
+            list.shrink(elements);
+        }
+        for list in self.point_lists() {
             list.shrink(points);
         }
         for vectors in [

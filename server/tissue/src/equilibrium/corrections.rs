@@ -52,8 +52,7 @@ impl FineLevel {
         coarse: &Multigrid,
         u: &[Vec3],
     ) -> Vec<(u32, Vec3)> {
-        let mut increments = std::mem::take(&mut self.increments);
-        increments.clear();
+        let mut increments = Vec::with_capacity(self.nodes.items.len());
         let e = &coarse.grids[0].e;
         for &node in &self.nodes.items {
             let n = node as usize;

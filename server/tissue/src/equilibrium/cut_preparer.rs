@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::chain::Chain;
 use super::construction::Construction;
 use super::contact_smoother::ContactSmoother;
 use super::cycle::Multigrid;
@@ -17,7 +18,7 @@ use super::journal::Journal;
 use super::reference_state::ReferenceState;
 use super::solver::Solver;
 use super::weight::weights;
-use crate::contact::SurfaceIndex;
+use crate::contact::{SurfaceIndex, SurfaceTree, TreeRoom};
 use crate::cut::{CutError, CutOutcome, StrokePart};
 use crate::cut_history::{CutHistory, Follower};
 use crate::{Shape, Topology};
@@ -30,6 +31,7 @@ pub struct CutPreparer {
     pub(super) hierarchy: Hierarchy,
     pub(super) construction: Construction,
     journal: Journal,
+    room: TreeRoom,
     reference_state: Option<Arc<ReferenceState>>,
 }
 
@@ -39,22 +41,23 @@ struct Replay<'a> {
     construction: &'a mut Construction,
     journal: &'a mut Journal,
     /// All changes so far.
-    change: Option<HierarchyChange>,
+    changes: Chain<HierarchyChange>,
+    /// Parts cut so far.
+    cuts: usize,
+    /// Nodes and cuts up to the stroke that is taken back.
+    reached: Option<(usize, usize)>,
     is_rebuilt: bool,
 }
 
 impl Replay<'_> {
-    fn add(&mut self, change: HierarchyChange) {
-        self.change = Some(match self.change.take() {
-            Some(earlier) => {
-                let stays = earlier.stays;
-                HierarchyChange {
-                    stays,
-                    ..earlier.then(change)
-                }
-            }
-            None => change,
-        });
+    /// All changes as one; `None` if the levels are new.
+    fn change(self) -> Option<HierarchyChange> {
+        let mut change = self.changes.joined()?;
+        if let Some((nodes, cuts)) = self.reached {
+            change.stays = nodes;
+            change.outcomes.drain(..cuts);
+        }
+        Some(change)
     }
 }
 
@@ -62,7 +65,7 @@ impl Follower for Replay<'_> {
     fn rewind(&mut self, topology: &Topology, parts: usize) {
         if let Some(way) = self.journal.take(parts, self.hierarchy) {
             let change = self.hierarchy.go_back(self.construction, topology, way);
-            self.add(change);
+            self.changes.push(change);
         } else {
             *self.hierarchy = Hierarchy::new(topology);
             *self.construction = Construction::of(topology, self.hierarchy);
@@ -72,10 +75,7 @@ impl Follower for Replay<'_> {
     }
 
     fn reach(&mut self, topology: &Topology) {
-        if let Some(change) = &mut self.change {
-            change.stays = topology.node_count();
-            change.outcomes.clear();
-        }
+        self.reached = Some((topology.node_count(), self.cuts));
     }
 
     fn advance(&mut self, topology: &Topology, parts: usize, outcome: CutOutcome) {
@@ -84,7 +84,8 @@ impl Follower for Replay<'_> {
         let (change, way) = follow(self.hierarchy, self.construction, topology, &outcome);
         self.journal.push(parts, way);
         if !self.is_rebuilt {
-            self.add(change);
+            self.changes.push(change);
+            self.cuts += 1;
         }
     }
 }
@@ -95,6 +96,8 @@ pub struct PreparedCut {
     pub(crate) history: CutHistory,
     pub(crate) outcome: Arc<CutOutcome>,
     pub(super) levels: Levels,
+    /// Tree of the surface, if that of a tissue keeps too much memory.
+    tree: Option<SurfaceTree>,
     reference_state: Option<Arc<ReferenceState>>,
 }
 
@@ -132,7 +135,8 @@ pub(super) struct Rebuilt {
 pub struct Retired {
     _topology: Arc<Topology>,
     _history: CutHistory,
-    _levels: Option<Box<Rebuilt>>,
+    _levels: Levels,
+    _tree: Option<SurfaceTree>,
 }
 
 impl PreparedCut {
@@ -196,11 +200,13 @@ impl CutPreparer {
             hierarchy: &mut self.hierarchy,
             construction: &mut self.construction,
             journal: &mut self.journal,
-            change: None,
+            changes: Chain::new(HierarchyChange::then),
+            cuts: 0,
+            reached: None,
             is_rebuilt: false,
         };
         let outcome = change(&mut self.history, &mut self.topology, &mut replay)?;
-        let change = replay.change;
+        let change = replay.change();
         let made = self.follow(Arc::new(outcome), change);
         Some(self.unfinished(Rest::Nothing(Box::new(made))))
     }
@@ -241,7 +247,8 @@ impl CutPreparer {
                 self.reference_state.as_deref(),
             );
         }
-        self.prepared(outcome, levels)
+        let builds_tree = self.room.follow(&self.topology);
+        self.prepared(outcome, levels, builds_tree)
     }
 
     fn rebuilt(&self) -> Levels {
@@ -264,15 +271,16 @@ impl CutPreparer {
             Levels::Changed(change) => Levels::Changed(Arc::clone(change)),
             Levels::Rebuilt(_) => self.rebuilt(),
         };
-        self.prepared(Arc::clone(&cut.outcome), levels)
+        self.prepared(Arc::clone(&cut.outcome), levels, cut.tree.is_some())
     }
 
-    fn prepared(&self, outcome: Arc<CutOutcome>, levels: Levels) -> PreparedCut {
+    fn prepared(&self, outcome: Arc<CutOutcome>, levels: Levels, builds_tree: bool) -> PreparedCut {
         PreparedCut {
             topology: Arc::clone(&self.topology),
             history: self.history.clone(),
             outcome,
             levels,
+            tree: builds_tree.then(|| SurfaceTree::of(&self.topology)),
             reference_state: self.reference_state.clone(),
         }
     }
@@ -317,6 +325,7 @@ impl Solver {
             construction: Construction::of(topology, &self.hierarchy),
             journal: Journal::new(history.done().len()),
             history,
+            room: TreeRoom::of(topology),
             hierarchy: self.hierarchy.clone(),
             reference_state: self.reference_state.clone(),
         }
@@ -328,27 +337,26 @@ impl Solver {
         topology: &mut Arc<Topology>,
         history: &mut CutHistory,
         shape: &mut Shape,
-        cut: PreparedCut,
+        mut cut: PreparedCut,
     ) -> Retired {
-        let levels = match cut.levels {
+        match &mut cut.levels {
             Levels::Changed(change) => {
-                self.follow(&cut.topology, shape, &change);
-                None
+                self.follow(&cut.topology, shape, change, cut.tree.as_mut());
             }
-            Levels::Rebuilt(mut rebuilt) => {
+            Levels::Rebuilt(rebuilt) => {
                 self.prolongate_all(shape);
                 shape.follow(&cut.topology, &cut.outcome);
-                self.replace_levels(&cut.topology, &mut rebuilt);
-                Some(rebuilt)
+                self.replace_levels(&cut.topology, rebuilt);
             }
-        };
+        }
         // A cut changes the equilibrium under gravity.
         self.fine.at_reference &= cut.reference_state.is_none();
         self.reference_state = cut.reference_state;
         Retired {
             _topology: std::mem::replace(topology, cut.topology),
             _history: std::mem::replace(history, cut.history),
-            _levels: levels,
+            _levels: cut.levels,
+            _tree: cut.tree,
         }
     }
 

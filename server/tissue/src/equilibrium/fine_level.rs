@@ -92,8 +92,6 @@ pub(super) struct FineLevel {
     /// Nodes that moved in this step, and their displacements before it.
     pub(super) moved_on: List,
     pub(super) start: Vec<Vec3>,
-    /// Displacement increments of the last warm start.
-    pub(super) increments: Vec<(u32, Vec3)>,
     pub(super) since: SetChange,
     /// Nodes that were free at the start of this step.
     pub(super) settled: List,
@@ -159,7 +157,6 @@ impl FineLevel {
             touched: List::new(nodes),
             moved_on: List::new(nodes),
             start: laid_out(Vec3::zeros(), nodes),
-            increments: Vec::new(),
             since: SetChange::Replaced,
             settled: List::new(nodes),
             at_reference: true,

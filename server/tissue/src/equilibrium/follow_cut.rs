@@ -8,7 +8,7 @@
 //! An undo removes nodes and points. Nodes and points around then follow other points of the coarser levels, so the
 //! displacements of these count as received: no remaining node moves.
 
-use super::coarse_level::{CoarseLevel, NONE, invert, update_total};
+use super::coarse_level::{CoarseLevel, List, NONE, invert, update_total};
 use super::cycle::Multigrid;
 use super::fine_level::{FineLevel, OuterForces, SetChange};
 use super::hierarchy::{Hierarchy, Level};
@@ -16,15 +16,18 @@ use super::hierarchy_change::{HierarchyChange, LevelChange};
 use super::quad::{ZERO, plus, trim};
 use super::solver::Solver;
 use super::weight::weight_of;
+use crate::contact::SurfaceTree;
 use crate::{Shape, Topology, Vec3};
 
 impl Solver {
-    /// Follows a change that made `topology`: a cut, an undo, a redo or a reset.
+    /// Follows a change that made `topology`: a cut, an undo, a redo or a reset. A tree of its surface is exchanged for the
+    /// present one.
     pub(super) fn follow(
         &mut self,
         topology: &Topology,
         shape: &mut Shape,
         change: &HierarchyChange,
+        tree: Option<&mut SurfaceTree>,
     ) {
         self.forget_removed(change.stays);
         let (fine, coarse) = (&mut self.fine, &mut self.coarse);
@@ -59,7 +62,7 @@ impl Solver {
             fine.displaced = fine.displaced.max(shape.displacement[node as usize].norm());
         }
         self.contact_smoother.follow(&self.hierarchy);
-        self.contacts.follow(topology, &change.surface);
+        self.contacts.follow(topology, &change.surface, tree);
         self.report.steady = false;
         self.dirty = true;
     }
@@ -201,6 +204,27 @@ impl FineLevel {
         }
     }
 
+    fn node_lists(&mut self) -> [&mut List; 7] {
+        [
+            &mut self.nodes,
+            &mut self.unbalanced,
+            &mut self.below_threshold,
+            &mut self.disturbed,
+            &mut self.touched,
+            &mut self.moved_on,
+            &mut self.settled,
+        ]
+    }
+
+    fn brick_lists(&mut self) -> [&mut List; 4] {
+        [
+            &mut self.set,
+            &mut self.left,
+            &mut self.stale,
+            &mut self.computed,
+        ]
+    }
+
     /// Drops nodes and bricks that a change removes.
     fn shrink(&mut self, change: &HierarchyChange) {
         let (nodes, bricks) = (change.keeps.nodes, change.keeps.bricks);
@@ -225,23 +249,10 @@ impl FineLevel {
         trim(&mut self.block_sum, bricks);
         trim(&mut self.block_sum_at_rest, change.keeps.forms);
         trim(&mut self.blocks_at_rest, change.keeps.forms);
-        for list in [
-            &mut self.nodes,
-            &mut self.unbalanced,
-            &mut self.below_threshold,
-            &mut self.disturbed,
-            &mut self.touched,
-            &mut self.moved_on,
-            &mut self.settled,
-        ] {
+        for list in self.node_lists() {
             list.shrink(nodes);
         }
-        for list in [
-            &mut self.set,
-            &mut self.left,
-            &mut self.stale,
-            &mut self.computed,
-        ] {
+        for list in self.brick_lists() {
             list.shrink(bricks);
         }
         self.required.shrink(change.keeps.levels[0].elements);
@@ -278,7 +289,6 @@ impl FineLevel {
         self.nodes.clear();
         self.set.clear();
         self.left.clear();
-        self.increments.clear();
         self.shrink(change);
         let new = self.fixed.len() as u32..nodes as u32;
         self.fixed.extend(new.map(|n| topology.is_pinned(n)));
@@ -306,23 +316,10 @@ impl FineLevel {
             self.block_sum_at_rest[*form as usize] = None;
             self.blocks_at_rest[*form as usize] = None;
         }
-        for list in [
-            &mut self.nodes,
-            &mut self.unbalanced,
-            &mut self.below_threshold,
-            &mut self.disturbed,
-            &mut self.touched,
-            &mut self.moved_on,
-            &mut self.settled,
-        ] {
+        for list in self.node_lists() {
             list.grow(nodes);
         }
-        for list in [
-            &mut self.set,
-            &mut self.left,
-            &mut self.stale,
-            &mut self.computed,
-        ] {
+        for list in self.brick_lists() {
             list.grow(bricks);
         }
         self.required.grow(hierarchy.levels[0].corners.len());
@@ -374,17 +371,10 @@ impl CoarseLevel {
         }
         self.stiffness_of.resize(elements, NONE);
         self.grow_pending(elements);
-        for list in [&mut self.set, &mut self.refined, &mut self.to_refine] {
+        for list in self.element_lists() {
             list.grow(elements);
         }
-        for list in [
-            &mut self.points,
-            &mut self.loaded,
-            &mut self.corrected,
-            &mut self.outer_points,
-            &mut self.deferred_points,
-            &mut self.stiffened,
-        ] {
+        for list in self.point_lists() {
             list.grow(points);
         }
         for point in change.points() {

@@ -1,14 +1,20 @@
 //! The ways back from cuts that an undo may take.
 
+use super::chain::Chain;
 use super::hierarchy::Hierarchy;
 use super::reversal::Reversal;
 
-/// For each kept state of the history the way back to it from the next one, in order.
+/// For each kept state of the history the ways back to it from the next one, in order.
 #[derive(Clone)]
 pub(super) struct Journal {
     /// Parts of strokes at its start.
     first: usize,
-    ways: Vec<(usize, Reversal)>,
+    ways: Vec<(usize, Chain<Reversal>)>,
+}
+
+/// The ways back from no cut, in the order of the cuts.
+fn none() -> Chain<Reversal> {
+    Chain::new(|earlier: Reversal, way| way.then(earlier))
 }
 
 impl Journal {
@@ -22,20 +28,22 @@ impl Journal {
 
     /// Adds the way back from a part that was cut after the first `parts`.
     pub(super) fn push(&mut self, parts: usize, way: Reversal) {
-        self.ways.push((parts, way));
+        let mut ways = none();
+        ways.push(way);
+        self.ways.push((parts, ways));
     }
 
     /// Joins the ways over states that are not kept any more.
     pub(super) fn thin(&mut self, is_kept: impl Fn(usize) -> bool) {
-        let mut ways: Vec<(usize, Reversal)> = Vec::with_capacity(self.ways.len());
-        for (parts, way) in self.ways.drain(..) {
+        let mut all: Vec<(usize, Chain<Reversal>)> = Vec::with_capacity(self.ways.len());
+        for (parts, ways) in self.ways.drain(..) {
             if is_kept(parts) {
-                ways.push((parts, way));
-            } else if let Some((earlier_parts, earlier)) = ways.pop() {
-                ways.push((earlier_parts, way.then(earlier)));
+                all.push((parts, ways));
+            } else if let Some((_, earlier)) = all.last_mut() {
+                earlier.append(ways);
             }
         }
-        self.ways = ways;
+        self.ways = all;
     }
 
     /// Takes the way back to the state after the first `parts`; `None` if the journal began later.
@@ -44,8 +52,12 @@ impl Journal {
             return Some(Reversal::none(hierarchy));
         }
         let first = self.ways.iter().position(|way| way.0 == parts);
-        let mut ways = self.ways.split_off(first.unwrap_or(0)).into_iter().rev();
-        let newest = first.and(ways.next())?;
-        Some(ways.fold(newest.1, |way, earlier| way.then(earlier.1)))
+        let taken = self.ways.split_off(first.unwrap_or(0));
+        first?;
+        let mut all = none();
+        for (_, ways) in taken {
+            all.append(ways);
+        }
+        all.joined()
     }
 }

@@ -45,6 +45,7 @@
 mod active_set;
 mod brick;
 mod budget;
+mod chain;
 mod coarse_level;
 mod coarse_stiffening;
 mod coarsen;

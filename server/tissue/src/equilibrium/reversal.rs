@@ -173,7 +173,7 @@ impl HierarchyChange {
             surface: self.surface.then(later.surface),
             separates: self.separates || later.separates,
             keeps: self.keeps,
-            stays: later.stays,
+            stays: self.stays.min(later.stays),
             outcomes: [self.outcomes, later.outcomes].concat(),
             weights: None,
         }

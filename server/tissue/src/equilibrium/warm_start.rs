@@ -30,7 +30,6 @@ impl Solver {
             self.fine.mark_applied(&self.hierarchy, &self.coarse);
             self.fine.blend_forces(&self.hierarchy, share as f32);
         }
-        self.fine.increments = last;
         lags
     }
 

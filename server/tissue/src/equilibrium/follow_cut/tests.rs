@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::super::{PreparedCut, TopologyCut};
+use super::super::{CutPreparer, PreparedCut};
 use super::*;
 use crate::cut_history::CutHistory;
 use crate::{BladePoint, Budget, CutStroke, Material, Tool, block};
@@ -112,25 +112,22 @@ fn equilibrium_after_cuts_is_that_of_a_new_solver() {
 }
 
 /// The force of the hand's steps after cuts near the tool stays that of converged solves.
-#[test]
-fn quick_forces_after_cuts_are_converged_ones() {
+/// Relative error of the hand's forces against converged solves, in a press with changes at some steps.
+fn error_of_quick_forces(change: impl Fn(usize, &mut CutPreparer) -> Option<PreparedCut>) -> f64 {
     let mut topology = topology();
     let (mut solver, mut shape) = pressed(&topology);
     let (mut full, mut converged) = pressed(&topology);
     let mut preparer = solver.preparer(&topology, CutHistory::new(Arc::clone(&topology)));
     let (mut squares, mut sum) = (0.0, 0.0);
     for k in 40..140 {
-        if k % 20 == 10 {
-            let cut = preparer
-                .prepare(&slit(8.3 + 0.07 * f64::from(k as u32)))
-                .unwrap();
+        if let Some(change) = change(k, &mut preparer) {
             succeed(
                 &mut full,
                 &mut topology.clone(),
                 &mut converged,
-                preparer.repeat(&cut),
+                preparer.repeat(&change),
             );
-            succeed(&mut solver, &mut topology, &mut shape, cut);
+            succeed(&mut solver, &mut topology, &mut shape, change);
         }
         solver.step(&topology, &mut shape, &[tool(k)], hand());
         full.step(&topology, &mut converged, &[tool(k)], Budget::new(60, 1e-3));
@@ -138,7 +135,18 @@ fn quick_forces_after_cuts_are_converged_ones() {
         squares += (force(&solver) - force(&full)).norm_squared();
         sum += force(&full).norm_squared();
     }
-    let error = f64::sqrt(squares / sum);
+    f64::sqrt(squares / sum)
+}
+
+fn slit_at_step(k: usize) -> CutStroke {
+    slit(8.3 + 0.07 * f64::from(k as u32))
+}
+
+#[test]
+fn quick_forces_after_cuts_are_converged_ones() {
+    let error = error_of_quick_forces(|k, preparer| {
+        (k % 20 == 10).then(|| preparer.prepare(&slit_at_step(k)).unwrap())
+    });
     assert!(error < 0.05, "{error}");
 }
 
@@ -249,38 +257,11 @@ fn equilibrium_after_undos_is_that_of_a_new_solver() {
 /// The force of the hand's steps after undos near the tool stays that of converged solves.
 #[test]
 fn quick_forces_after_undos_are_converged_ones() {
-    let mut topology = topology();
-    let (mut solver, mut shape) = pressed(&topology);
-    let (mut full, mut converged) = pressed(&topology);
-    let mut preparer = solver.preparer(&topology, CutHistory::new(Arc::clone(&topology)));
-    let (mut squares, mut sum) = (0.0, 0.0);
-    for k in 40..140 {
-        if k % 10 == 5 {
-            let change = match k % 30 {
-                15 => preparer
-                    .prepare(&slit(8.3 + 0.07 * f64::from(k as u32)))
-                    .ok(),
-                25 => preparer.undo().map(TopologyCut::finish),
-                _ => preparer
-                    .redo()
-                    .and_then(Result::ok)
-                    .map(TopologyCut::finish),
-            };
-            let change = change.unwrap();
-            succeed(
-                &mut full,
-                &mut topology.clone(),
-                &mut converged,
-                preparer.repeat(&change),
-            );
-            succeed(&mut solver, &mut topology, &mut shape, change);
-        }
-        solver.step(&topology, &mut shape, &[tool(k)], hand());
-        full.step(&topology, &mut converged, &[tool(k)], Budget::new(60, 1e-3));
-        let force = |solver: &Solver| solver.report.reactions[0].force;
-        squares += (force(&solver) - force(&full)).norm_squared();
-        sum += force(&full).norm_squared();
-    }
-    let error = f64::sqrt(squares / sum);
+    let error = error_of_quick_forces(|k, preparer| match k % 30 {
+        15 => Some(preparer.prepare(&slit_at_step(k)).unwrap()),
+        25 => Some(preparer.undo().unwrap().finish()),
+        5 => Some(preparer.redo().unwrap().unwrap().finish()),
+        _ => None,
+    });
     assert!(error < 0.05, "{error}");
 }
