@@ -112,9 +112,10 @@ impl Recipe {
             seed: self.seed.or(file.seed),
             seeds: self.seeds.or(file.seeds),
             real: self.real.or(file.real),
-            profile: match self.profile.is_empty() {
-                true => file.profile,
-                false => self.profile,
+            profile: if self.profile.is_empty() {
+                file.profile
+            } else {
+                self.profile
             },
             trace_offset: self.trace_offset.or(file.trace_offset),
             motion: self.motion.or(file.motion),

@@ -61,9 +61,10 @@ impl AllArguments {
         let takes = |input| experiment.takes.contains(&input);
         Recipe {
             seed: self.seed.filter(|_| takes(Input::Seed)),
-            profile: match takes(Input::Profile) {
-                true => self.profile.clone(),
-                false => Vec::new(),
+            profile: if takes(Input::Profile) {
+                self.profile.clone()
+            } else {
+                Vec::new()
             },
             motion: self.motion.clone().filter(|_| takes(Input::Motion)),
             ..Recipe::default()
