@@ -20,6 +20,8 @@ fn sample_moduli_match_materials_in_regions_three_cells_thick() {
             if bar.cells.into_iter().min() >= Some(3) {
                 let error = bar.measured_kpa.unwrap() / bar.expected_kpa - 1.0;
                 assert!(error.abs() < 0.05, "{sample}: {bar:?}");
+                let error = bar.measured_poisson.unwrap() / bar.expected_poisson - 1.0;
+                assert!(error.abs() < 0.05, "{sample}: {bar:?}");
             }
         }
     }
