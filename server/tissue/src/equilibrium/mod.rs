@@ -96,6 +96,7 @@ pub(crate) use lanes::add_scaled;
 pub(crate) use law::Elastic;
 pub(crate) use mechanism::Disabled;
 pub use mechanism::Mechanism;
+pub use modulus::Tension;
 pub(crate) use quad::{SLACK, laid_out, overlaid, reserve, trim};
 pub use reference_state::Sag;
 pub(crate) use solver::Solver;
