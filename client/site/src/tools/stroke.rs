@@ -16,9 +16,9 @@ const PART_MIN_M: f64 = 0.75e-3;
 /// Minimum distance of the release point from the point before, m; closer points define no direction.
 const LAST_STEP_MIN_M: f64 = 0.1e-3;
 
-/// Minimum time between two parts of a stroke: four fifths of the requests that a server accepts. A part leaves as soon as
+/// Minimum time between two parts of a stroke: two thirds of the requests that a server accepts. A part leaves as soon as
 /// the blade has then moved, and ends where the blade is.
-const PART_PERIOD: Span = Span::from_millis(25);
+const PART_PERIOD: Span = Span::from_millis(30);
 
 /// Width of the wound, m: that of a scalpel.
 const WIDTH_M: f64 = 0.5e-3;
@@ -194,7 +194,7 @@ mod tests {
     #[test]
     fn fast_stroke_needs_no_more_requests() {
         let parts = parts((0..2000).map(|t| (t, t as f64)));
-        assert!((75..=82).contains(&parts.len()), "{}", parts.len());
+        assert!((60..=70).contains(&parts.len()), "{}", parts.len());
         assert!(parts.iter().all(CutRequest::is_valid));
     }
 
