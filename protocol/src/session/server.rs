@@ -27,8 +27,7 @@ use crate::{OperationId, ParticipantId, ProtocolError, ServerTime, Span, TokenBu
 /// [`RequestRefusal::TooMany`](crate::request::RequestRefusal::TooMany).
 pub const REQUESTS_PER_SECOND_MAX: u32 = 50;
 
-/// Burst of accepted requests: those of 2.5 s at their rate. A stall or a new connection brings the parts of a stroke of up to
-/// [`PEER_SILENCE`](super::PEER_SILENCE) at once.
+/// Burst of accepted requests: a stall brings the parts of a stroke of [`PEER_SILENCE`](super::PEER_SILENCE) at once.
 pub const REQUESTS_BURST_MAX: u32 = 128;
 
 /// Burst of refused requests; their rate is [`REQUESTS_PER_SECOND_MAX`], too. A client that sends more
