@@ -4,10 +4,12 @@ use palpate_tissue::limits::POSITION_MAX_M;
 use palpate_tissue::{Model, Vec3};
 use rayon::prelude::*;
 
+use super::folds::{Fold, Folds};
 use super::inside::PointQuery;
 use super::lattice::Mending;
 use super::{BUILD_NODES_MAX, GRID_CELLS_MAX, RegionReport};
 use crate::scene::SceneInput;
+use crate::surface::in_mm;
 use crate::{Aabb, InputError, Surface};
 
 /// Relative difference between the volume of a region and its input above which the report warns.
@@ -157,6 +159,35 @@ pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> InputError {
         spacing * 1e3,
         extent * 1e3
     ))
+}
+
+/// Warns of surfaces that overlap themselves or are inside out in part.
+pub(super) fn folds(input: &SceneInput, folds: &[(usize, Folds)], warnings: &mut Vec<String>) {
+    for (r, found) in folds {
+        let name = &input.scene.regions[*r].name;
+        let size = |fold: &Fold| {
+            let percent = 100.0 * fold.volume / found.volume;
+            let place = fold.bounds.map_or_else(String::new, |b| {
+                format!(" from {} to {}", in_mm(&b.min), in_mm(&b.max))
+            });
+            format!("{:.0} mm³ ({percent:.1} %){place}", fold.volume * 1e9)
+        };
+        let [repeated, inverted] = found.reported();
+        if let Some(fold) = repeated {
+            warnings.push(format!(
+                "the surface of region {name:?} overlaps itself: {} lie inside it more than once; the model \
+                 has the union; unite the parts in a mesh tool to be sure of the shape",
+                size(&fold)
+            ));
+        }
+        if let Some(fold) = inverted {
+            warnings.push(format!(
+                "the surface of region {name:?} is inside out in part: triangles around {} face inwards; the \
+                 model fills this part too; is the surface twisted? Repair it and export it again",
+                size(&fold)
+            ));
+        }
+    }
 }
 
 /// Warns of changes to the labels.

@@ -19,6 +19,7 @@ mod bridge;
 mod bvh;
 mod compare;
 mod faces;
+mod folds;
 mod grid;
 mod input_check;
 mod inside;
@@ -95,11 +96,9 @@ pub fn build(
     let query = inside::PointQuery::new(&surfaces, grid.middle(), spacing);
     input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
-    let mut input_volumes = label::resolved_volumes(&grid, &surfaces, &mut walls);
-    for (volume, voxels) in input_volumes.iter_mut().zip(&input.voxels_m3) {
-        // A label volume is authoritative for the regions that it alone describes.
-        *volume = voxels.unwrap_or(*volume);
-    }
+    let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &mut walls);
+    input_check::folds(input, &folds, &mut warnings);
+    prefer_voxels(&mut input_volumes, input);
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
     progress("casting rays", 0.1);
@@ -185,6 +184,13 @@ pub fn build(
     };
     progress("done", 1.0);
     Ok((model, report))
+}
+
+/// A label volume is authoritative for the regions that it alone describes.
+fn prefer_voxels(volumes: &mut [f64], input: &SceneInput) {
+    for (volume, voxels) in volumes.iter_mut().zip(&input.voxels_m3) {
+        *volume = voxels.unwrap_or(*volume);
+    }
 }
 
 /// Figures of a report that follow from a finished model alone.

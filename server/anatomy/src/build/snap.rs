@@ -520,7 +520,7 @@ mod tests {
             surface.triangles.extend(quad);
         }
         let mut rims = Rims::default();
-        for (_, segment) in sharp_edges(&surface, [&[true; 6], &[false; 6]]) {
+        for (_, segment) in sharp_edges(&surface, [&[true; 6], &[false; 6]], &[false; 6]) {
             rims.add(segment);
         }
         rims.index(1.0);
