@@ -2,7 +2,7 @@
 
 use palpate_tissue::{Vec3, block};
 
-use super::comparison::{Case, Curve};
+use super::comparison::{Case, Curve, CurveSet};
 use super::specimen::{Specimen, YOUNG_PA, material, shear_pa};
 
 const HEIGHT_M: f64 = 10e-3;
@@ -76,16 +76,14 @@ pub(super) fn cantilever(is_fine: bool, poisson: f64, curve: &mut Curve) -> Resu
         let tip = deflections.last().map_or(f64::NAN, |d| d.1);
         case.add(&specimen, force / tip);
         if across == *cells(is_fine).last().unwrap_or(&0) {
-            let lines = [
-                deflections,
-                (0..=50)
-                    .map(|i| f64::from(i) / 50.0 * length_m())
-                    .map(|x| (x, force * compliance(x, poisson)))
-                    .collect(),
-            ];
             let in_units = |p: (f64, f64)| (p.0 / HEIGHT_M, 1e6 * p.1);
-            let lines = lines.map(|line: Vec<(f64, f64)>| line.into_iter().map(in_units).collect());
-            curve.sets.push((poisson, lines));
+            let places = (0..=50).map(|i| f64::from(i) / 50.0 * length_m());
+            let reference = places.map(|x| in_units((x, force * compliance(x, poisson))));
+            curve.sets.push(CurveSet {
+                poisson,
+                measured: deflections.into_iter().map(in_units).collect(),
+                reference: reference.collect(),
+            });
         }
     }
     Ok(case)

@@ -2,7 +2,8 @@
 
 use palpate_tissue::{Tool, Vec3, block};
 
-use super::comparison::{Case, Curve};
+use super::POISSON;
+use super::comparison::{Case, Curve, CurveSet};
 use super::layer_theory::Layer;
 use super::specimen::{Specimen, YOUNG_PA, material};
 
@@ -34,11 +35,7 @@ fn stiffening(force_n: f64, depth_m: f64, radius_m: f64, poisson: f64) -> f64 {
     force_n / half_space
 }
 
-pub(super) fn indentation(
-    is_fine: bool,
-    poisson: f64,
-    (share, name): (f64, &'static str),
-) -> Result<Case, String> {
+pub(super) fn indentation(is_fine: bool, poisson: f64, (share, name): (f64, &'static str)) -> Case {
     let layer = layer(share, poisson);
     let radius_m = BALL * layer.contact_m;
     let asked = layer.ball(radius_m);
@@ -69,42 +66,40 @@ pub(super) fn indentation(
         specimen.solve(&[Tool::ball(1, centre, radius_m)]);
         case.add(&specimen, specimen.tissue.report().reactions[0].force.z);
     }
-    Ok(case)
+    case
 }
 
-/// The stiffening by the base at the contact radii of finest runs, and its theory.
+/// The stiffening by the base at the contact radii of the finest runs, and its theory.
 pub(super) fn curve(cases: &[Case]) -> Curve {
     let point = |share: f64, poisson: f64, force_n: f64| {
         let radius_m = BALL * share * THICKNESS_M;
         let depth_m = layer(share, poisson).ball(radius_m).depth_m;
         (share, stiffening(force_n, depth_m, radius_m, poisson))
     };
-    let mut sets: Vec<(f64, [Vec<(f64, f64)>; 2])> = Vec::new();
-    for case in cases {
-        let (Some(last), Some((share, _))) =
-            (case.runs.last(), CONTACTS.iter().find(|c| c.1 == case.name))
-        else {
-            continue;
-        };
-        let measured = point(*share, case.poisson, last.measured);
-        match sets.iter_mut().find(|set| set.0 == case.poisson) {
-            Some((_, [points, _])) => points.push(measured),
-            None => {
-                let closed = (1..=24).map(|i| {
-                    let share = f64::from(i) / 20.0;
-                    let force_n = layer(share, case.poisson)
-                        .ball(BALL * share * THICKNESS_M)
-                        .force_n;
-                    point(share, case.poisson, force_n)
-                });
-                sets.push((case.poisson, [vec![measured], closed.collect()]));
-            }
+    let set = |poisson: f64| {
+        let measured = CONTACTS.iter().flat_map(|&(share, name)| {
+            let of_contact = cases
+                .iter()
+                .filter(move |c| c.name == name && c.poisson == poisson);
+            of_contact.filter_map(move |case| Some((share, case.runs.last()?.measured)))
+        });
+        let reference = (1..=24).map(|i| {
+            let share = f64::from(i) / 20.0;
+            let found = layer(share, poisson).ball(BALL * share * THICKNESS_M);
+            point(share, poisson, found.force_n)
+        });
+        CurveSet {
+            poisson,
+            measured: measured
+                .map(|(share, force_n)| point(share, poisson, force_n))
+                .collect(),
+            reference: reference.collect(),
         }
-    }
+    };
     Curve {
         name: "validate-layer",
         title: "Force of a ball on a bonded layer over that on a half space",
         axes: ["contact radius (thicknesses)", "ratio of forces"],
-        sets,
+        sets: POISSON.map(set).into(),
     }
 }

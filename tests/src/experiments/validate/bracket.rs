@@ -98,6 +98,7 @@ mod tests {
 
     /// `PALPATE_PYTHON` names a Python with scikit-fem; see `tests/tests/readers.rs`.
     #[test]
+    #[allow(clippy::print_stdout)]
     fn finite_elements_of_another_program_give_the_reference_forces() {
         let Some(python) = std::env::var_os("PALPATE_PYTHON") else {
             println!("PALPATE_PYTHON is not set: nothing was tested");

@@ -141,8 +141,15 @@ pub(super) struct Curve {
     pub(super) name: &'static str,
     pub(super) title: &'static str,
     pub(super) axes: [&'static str; 2],
-    /// Points for every Poisson's ratio: measured, reference.
-    pub(super) sets: Vec<(f64, [Vec<(f64, f64)>; 2])>,
+    pub(super) sets: Vec<CurveSet>,
+}
+
+/// Points of a curve for one Poisson's ratio.
+#[derive(Debug, Clone)]
+pub(super) struct CurveSet {
+    pub(super) poisson: f64,
+    pub(super) measured: Vec<(f64, f64)>,
+    pub(super) reference: Vec<(f64, f64)>,
 }
 
 #[cfg(test)]

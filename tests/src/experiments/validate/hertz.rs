@@ -8,7 +8,7 @@ use std::f64::consts::{PI, TAU};
 
 use palpate_tissue::{Tool, Vec3, block};
 
-use super::comparison::{Case, Curve};
+use super::comparison::{Case, Curve, CurveSet};
 use super::specimen::{Specimen, YOUNG_PA, material};
 
 /// Contact radius, and that of the ball in contact radii: the strain is below 1 %.
@@ -103,7 +103,11 @@ pub(super) fn ball(poisson: f64, curve: &mut Curve) -> Result<Case, String> {
                     force_n(contact_m, poisson),
                 )
             });
-            curve.sets.push((poisson, [points, closed.collect()]));
+            curve.sets.push(CurveSet {
+                poisson,
+                measured: points,
+                reference: closed.collect(),
+            });
         }
     }
     Ok(case)

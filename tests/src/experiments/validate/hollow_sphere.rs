@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use palpate_anatomy::Surface;
 use palpate_tissue::Vec3;
 
-use super::comparison::{Case, Curve};
+use super::comparison::{Case, Curve, CurveSet};
 use super::specimen::{Specimen, YOUNG_PA, built};
 
 const INNER_M: f64 = 10e-3;
@@ -153,10 +153,14 @@ pub(super) fn pressure(
             let mut points: Vec<(f64, f64)> = specimen.nodes().map(radial).collect();
             points.sort_by(|a, b| a.0.total_cmp(&b.0));
             let closed = (0..=50).map(|i| INNER_M + f64::from(i) / 50.0 * (OUTER_M - INNER_M));
-            let lines = [points, closed.map(|r| (r, wall.displacement(r))).collect()];
             let in_units = |p: (f64, f64)| (1e3 * p.0, 1e6 * p.1);
-            let lines = lines.map(|line: Vec<(f64, f64)>| line.into_iter().map(in_units).collect());
-            curve.sets.push((poisson, lines));
+            curve.sets.push(CurveSet {
+                poisson,
+                measured: points.into_iter().map(in_units).collect(),
+                reference: closed
+                    .map(|r| in_units((r, wall.displacement(r))))
+                    .collect(),
+            });
         }
     }
     Ok(cases)
