@@ -14,11 +14,12 @@ import sys
 import meshio
 import nibabel
 import numpy
+import skfem
 import trimesh
 
 
 def versions():
-    modules = (meshio, trimesh, nibabel, numpy)
+    modules = (meshio, trimesh, nibabel, numpy, skfem)
     return {module.__name__: module.__version__ for module in modules}
 
 
