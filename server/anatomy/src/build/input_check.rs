@@ -4,10 +4,12 @@ use palpate_tissue::limits::POSITION_MAX_M;
 use palpate_tissue::{Model, Vec3};
 use rayon::prelude::*;
 
+use super::folds::{Fold, Folds};
 use super::inside::PointQuery;
-use super::lattice::Mending;
+use super::lattice::{Lattice, Mending};
 use super::{BUILD_NODES_MAX, GRID_CELLS_MAX, RegionReport};
 use crate::scene::SceneInput;
+use crate::surface::in_mm;
 use crate::{Aabb, InputError, Surface};
 
 /// Relative difference between the volume of a region and its input above which the report warns.
@@ -160,7 +162,12 @@ pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> InputError {
 }
 
 /// Warns of changes to the labels.
-pub(super) fn mending(mending: &Mending, cells: usize, warnings: &mut Vec<String>) {
+pub(super) fn mending(
+    mending: &Mending,
+    lattice: &Lattice,
+    cells: usize,
+    warnings: &mut Vec<String>,
+) {
     if mending.dropped.0 > 0 {
         warnings.push(format!(
             "{} small pieces with {} cells in all were dropped: they are too thin or too small at \
@@ -175,11 +182,38 @@ pub(super) fn mending(mending: &Mending, cells: usize, warnings: &mut Vec<String
              touched itself: the spacing is coarse for these shapes"
         ));
     }
-    if mending.pieces > 1 {
-        warnings.push(format!(
-            "the model is in {} separate pieces",
-            mending.pieces
-        ));
+    let pieces = lattice.pieces();
+    if pieces > 1 {
+        warnings.push(format!("the model is in {pieces} separate pieces"));
+    }
+}
+
+/// Warns of surfaces that overlap themselves or are inside out in part.
+pub(super) fn folds(input: &SceneInput, folds: &[(usize, Folds)], warnings: &mut Vec<String>) {
+    for (r, found) in folds {
+        let name = &input.scene.regions[*r].name;
+        let size = |fold: &Fold| {
+            let percent = 100.0 * fold.volume / found.volume;
+            let place = fold.bounds.map_or_else(String::new, |b| {
+                format!(" from {} to {}", in_mm(&b.min), in_mm(&b.max))
+            });
+            format!("{:.0} mm³ ({percent:.1} %){place}", fold.volume * 1e9)
+        };
+        let [repeated, inverted] = found.reported();
+        if let Some(fold) = repeated {
+            warnings.push(format!(
+                "the surface of region {name:?} overlaps itself: {} lie inside it more than once; the model \
+                 has the union; unite the parts in a mesh tool to be sure of the shape",
+                size(&fold)
+            ));
+        }
+        if let Some(fold) = inverted {
+            warnings.push(format!(
+                "the surface of region {name:?} is inside out in part: triangles around {} face inwards; the \
+                 model fills this part too; is the surface twisted? Repair it and export it again",
+                size(&fold)
+            ));
+        }
     }
 }
 

@@ -1,8 +1,8 @@
 //! The parts of the input surfaces that are interfaces of the model, and the nearest point on them.
 //!
 //! Surfaces overlap: bone reaches into skin, and flat ends of skin, muscle and bone lie in one plane. A piece
-//! of a surface is an interface of its region when that region really holds the material just behind it. The
-//! piece belongs to the *outer* interface when nothing lies before it, else to the *inner* one of its region.
+//! of a surface is an interface of its region when that region really holds the material just behind it and not
+//! before it; pieces of inverted parts are turned outwards. The piece belongs to the *outer* interface when nothing lies before it, else to the *inner* one of its region.
 //! Pieces that a later region hides belong to neither.
 
 use palpate_tissue::Vec3;
@@ -67,8 +67,9 @@ impl Interfaces {
             };
             let faces_out: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_out).copied().collect();
             let faces_in: Vec<bool> = sorted.iter().flat_map(|s| &s.faces_in).copied().collect();
+            let turned: Vec<bool> = sorted.iter().flat_map(|s| &s.turned).copied().collect();
             let mut own_rims = Rims::default();
-            for (which, segment) in rim::sharp_edges(surface, [&faces_out, &faces_in]) {
+            for (which, segment) in rim::sharp_edges(surface, [&faces_out, &faces_in], &turned) {
                 let rims = [&mut outer_rims, &mut own_rims];
                 rims[which].add(segment);
             }
@@ -139,6 +140,8 @@ struct Sorted {
     faces_out: Vec<bool>,
     /// Whether some of each triangle is in the inner interface.
     faces_in: Vec<bool>,
+    /// Whether each triangle faces into its region.
+    turned: Vec<bool>,
 }
 
 /// Sorts triangles of one region's surface.
@@ -159,7 +162,8 @@ impl Sorter<'_> {
                 let corners = t.map(|v| surface.vertices[v as usize]);
                 let before = (sorted.outer.len(), sorted.inner.len());
                 let kinds = t.map(|v| at_vertices[v as usize]);
-                self.sort(&corners, kinds, &mut sorted);
+                let turned = self.sort(&corners, kinds, &mut sorted);
+                sorted.turned.push(turned);
                 sorted.faces_out.push(sorted.outer.len() > before.0);
                 sorted.faces_in.push(sorted.inner.len() > before.1);
             }
@@ -186,18 +190,20 @@ impl Sorter<'_> {
             }
             sorted.faces_out.push(outer);
             sorted.faces_in.push(inner);
+            sorted.turned.push(false);
         }
         vec![sorted]
     }
 
     /// Cuts a triangle into pieces small enough to be classified as a whole, and sorts them. `at_corners` is
-    /// the classification of its vertices.
-    fn sort(&self, corners: &[Vec3; 3], at_corners: [Kind; 3], sorted: &mut Sorted) {
+    /// the classification of its vertices. Returns whether a piece was turned outwards.
+    fn sort(&self, corners: &[Vec3; 3], at_corners: [Kind; 3], sorted: &mut Sorted) -> bool {
         let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
         let Some(normal) = normal.try_normalize(0.0) else {
-            return;
+            return false;
         };
         let look = normal * (LOOK * self.spacing);
+        let mut any_turned = false;
         let kind = |at: Vec3| kind(self.region, self.query, at, look);
         let mut stack = vec![*corners];
         while let Some(piece) = stack.pop() {
@@ -224,12 +230,17 @@ impl Sorter<'_> {
                 stack.extend(halves);
                 continue;
             }
-            match here {
-                Kind::Outer => sorted.outer.push(Bvh::flat(self.origin, &piece)),
-                Kind::Inner => sorted.inner.push(Bvh::flat(self.origin, &piece)),
-                Kind::Hidden => {}
-            }
+            let (pieces, turned) = match here {
+                Kind::Outer { turned } => (&mut sorted.outer, turned),
+                Kind::Inner { turned } => (&mut sorted.inner, turned),
+                Kind::Hidden => continue,
+            };
+            any_turned |= turned;
+            let [a, b, c] = piece;
+            let outwards = if turned { [a, c, b] } else { piece };
+            pieces.push(Bvh::flat(self.origin, &outwards));
         }
+        any_turned
     }
 }
 
@@ -255,25 +266,28 @@ fn vertex_kinds(surface: &Surface, region: usize, query: &PointQuery, spacing: f
         .collect()
 }
 
-/// Classification of a piece of a region's surface.
+/// Classification of a piece of a region's surface; a turned piece faces into its region.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
-    Outer,
-    Inner,
+    Outer { turned: bool },
+    Inner { turned: bool },
     Hidden,
 }
 
 /// Probes behind and before a point of the surface of `region`.
 fn kind(region: usize, query: &PointQuery, at: Vec3, look: Vec3) -> Kind {
-    let Some(behind) = query.region_at(at - look) else {
-        return Kind::Hidden;
-    };
-    match query.region_at(at + look) {
+    match [at - look, at + look].map(|p| query.region_at(p)) {
         // Flat ends that several regions share are of this kind for each of these regions.
-        None => Kind::Outer,
+        [Some(_), None] => Kind::Outer { turned: false },
+        [None, Some(_)] if query.contains(region, at + look) => Kind::Outer { turned: true },
         // Before a later region, the wall of the later region stands in the same position and counts instead.
-        Some(before) if behind == region && before < region => Kind::Inner,
-        Some(_) => Kind::Hidden,
+        [Some(behind), Some(before)] if behind == region && before < region => {
+            Kind::Inner { turned: false }
+        }
+        [Some(behind), Some(before)] if before == region && behind < region => {
+            Kind::Inner { turned: true }
+        }
+        _ => Kind::Hidden,
     }
 }
 

@@ -8,6 +8,8 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
+use super::folds::Folds;
+use super::gaps::{Parts, Run};
 use super::grid::Grid;
 use super::rays::{Hits, Rays, cast};
 use super::strands::{NOTHING, RAYS_PER_CELL, Strand, Strands};
@@ -41,25 +43,27 @@ impl Labels {
 /// Label, second label and margin of one cell.
 type Decision = [u8; 3];
 
-/// Classifies every cell of the grid, and passes the fills of inhomogeneous cells to `walls`.
-pub(super) fn label(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> Labels {
+/// Classifies every cell of the grid, and passes the fills of inhomogeneous cells to `walls`. Also returns the parts
+/// of the regions.
+pub(super) fn label(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> (Labels, Parts) {
     let [nx, ny, nz] = grid.cells;
     let strands = Strands::new(grid, surfaces);
     // One slab of constant y at a time; slabs are independent.
-    let slabs: Vec<(Vec<Decision>, Vec<Share>)> = (0..ny)
+    let slabs: Vec<(Vec<Decision>, Vec<Share>, Vec<Run>)> = (0..ny)
         .into_par_iter()
         .map(|j| {
             let mut decisions = vec![[0; 3]; nx * nz];
-            let mut shares = Vec::new();
+            let (mut shares, mut runs) = (Vec::new(), Vec::new());
             let mut column = Column::new(nz, surfaces.len());
             for i in 0..nx {
                 column.fill(&strands, [i, j]);
                 for k in 0..nz {
                     decisions[i + nx * k] = decide(column.part(k));
                 }
+                column.runs(i + nx * j, &mut runs);
                 column.shares(grid, [i, j], &mut shares);
             }
-            (decisions, shares)
+            (decisions, shares, runs)
         })
         .collect();
     let mut labels = Labels {
@@ -68,15 +72,17 @@ pub(super) fn label(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> La
         margin: vec![0; grid.cell_count()],
         held: BTreeSet::new(),
     };
-    for (j, (decisions, shares)) in slabs.into_iter().enumerate() {
+    let mut parts = Parts::new(strands.touching());
+    for (j, (decisions, shares, runs)) in slabs.into_iter().enumerate() {
         for (at, decision) in decisions.into_iter().enumerate() {
             let to = grid.cell_index([at % nx, j, at / nx]);
             [labels.label[to], labels.second[to], labels.margin[to]] = decision;
         }
         walls.add_shares(shares);
+        parts.add_runs(runs);
     }
     walls.sort();
-    labels
+    (labels, parts)
 }
 
 /// Fills of the cells of one column along z.
@@ -129,15 +135,39 @@ impl Column {
         }
     }
 
+    /// Whether one region fills cell `k` alone.
+    fn is_pure(&self, k: usize) -> bool {
+        let full = (RAYS_PER_CELL * RAYS_PER_CELL) as f64;
+        self.part(k).iter().any(|l| *l >= full * (1.0 - PURE))
+    }
+
+    /// Lists the parts that fill cells alone, each with the first cell of a run.
+    fn runs(&self, column: usize, runs: &mut Vec<Run>) {
+        // One ray passes all of these cells.
+        let mut last: Option<(u32, u32)> = None;
+        let sole = self.pieces.iter();
+        let sole = sole.filter(|p| p.3 > 0.5 && self.is_pure(p.0 as usize));
+        for &(k, label, part, _) in sole {
+            if last.is_some_and(|(before, ..)| k <= before) {
+                break;
+            }
+            if last.is_none_or(|(_, of)| of != part) {
+                runs.push(Run {
+                    column: column as u32,
+                    from: k,
+                    label,
+                    part,
+                });
+            }
+            last = Some((k, part));
+        }
+    }
+
     /// Lists the fills of each cell that is not filled by one region alone.
     fn shares(&mut self, grid: &Grid, [i, j]: [usize; 2], shares: &mut Vec<Share>) {
         let full = (RAYS_PER_CELL * RAYS_PER_CELL) as f64;
         let mut pieces = std::mem::take(&mut self.pieces);
-        pieces.retain(|p| {
-            self.part(p.0 as usize)
-                .iter()
-                .all(|l| *l < full * (1.0 - PURE))
-        });
+        pieces.retain(|p| !self.is_pure(p.0 as usize));
         pieces.sort_by_key(|p| (p.0, p.1, p.2));
         for same in pieces.chunk_by(|a, b| (a.0, a.1, a.2) == (b.0, b.1, b.2)) {
             let (k, label, part, _) = same[0];
@@ -175,25 +205,45 @@ fn decide(part: &[f64]) -> Decision {
     [first, second.0, margin(second.1)]
 }
 
-/// Volume in m³ of each region with overlaps resolved.
+/// Volume in m³ of each region with overlaps resolved, and the folds of surfaces that have some.
 ///
-/// The volume of each whole surface is exact (divergence theorem). The fraction that later regions take is
-/// measured along rays of all three directions. It is a ratio to the same rays' measure of the whole, so that
-/// the sampling error of flat ends and rims cancels. The same rays give `walls` the regions that touch and
-/// where.
-pub(super) fn resolved_volumes(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> Vec<f64> {
-    let kept: Vec<Vec<f64>> = (0..3)
-        .map(|axis| kept_along(grid, surfaces, axis, walls))
+/// The volume of each whole surface is exact (divergence theorem) unless it is folded. The fraction that later
+/// regions take is measured along rays of all three directions. It is a ratio to the same rays' measure of the
+/// whole, so that the sampling error of flat ends and rims cancels. The same rays give `walls` the regions that
+/// touch and where.
+pub(super) fn resolved_volumes(
+    grid: &Grid,
+    surfaces: &[&Surface],
+    walls: &mut Walls,
+) -> (Vec<f64>, Vec<(usize, Folds)>) {
+    let (mut kept, mut folded) = (vec![0.0; surfaces.len()], 0_u64);
+    for axis in 0..3 {
+        let (parts, found) = kept_along(grid, surfaces, axis, walls);
+        for (kept, part) in kept.iter_mut().zip(parts) {
+            *kept += part;
+        }
+        folded |= found;
+    }
+    let folds: Vec<(usize, Folds)> = (0..surfaces.len())
+        .filter(|r| folded >> r & 1 == 1)
+        .map(|r| (r, Folds::measure(surfaces[r], grid.spacing)))
         .collect();
-    surfaces
-        .iter()
-        .enumerate()
-        .map(|(r, surface)| surface.volume() * kept.iter().map(|k| k[r]).sum::<f64>() / 3.0)
-        .collect()
+    let volume = |r: usize| {
+        let own = folds.iter().find(|f| f.0 == r);
+        own.map_or_else(|| surfaces[r].volume(), |(_, folds)| folds.volume)
+    };
+    let volumes = (0..surfaces.len()).map(|r| volume(r) * kept[r] / 3.0);
+    (volumes.collect(), folds)
 }
 
-/// Part of each region's rays along one axis that no later region covers.
-fn kept_along(grid: &Grid, surfaces: &[&Surface], axis: usize, walls: &mut Walls) -> Vec<f64> {
+/// Part of each region's rays along one axis that no later region covers, and the set of regions in which some
+/// ray finds another winding number than one.
+fn kept_along(
+    grid: &Grid,
+    surfaces: &[&Surface],
+    axis: usize,
+    walls: &mut Walls,
+) -> (Vec<f64>, u64) {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let step = grid.spacing / 2.0;
     let rays = Rays {
@@ -204,40 +254,59 @@ fn kept_along(grid: &Grid, surfaces: &[&Surface], axis: usize, walls: &mut Walls
     };
     let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
     // The rows are summed in order: the same sum on any number of threads.
-    let rows: Vec<(Vec<[f64; 2]>, Vec<u64>)> = (0..rays.count[1])
+    let rows: Vec<Row> = (0..rays.count[1])
         .into_par_iter()
         .map(|row| {
-            let mut sums = vec![[0.0; 2]; surfaces.len()];
-            let mut contacts = Vec::new();
+            let mut found = Row {
+                sums: vec![[0.0; 2]; surfaces.len()],
+                ..Row::default()
+            };
             let mut sweep = Sweep::default();
             for column in 0..rays.count[0] {
                 let ray = rays.index([column, row]);
                 for (region, hits) in hits.iter().enumerate() {
-                    hits.inside(ray, |from, to| sums[region][0] += to - from);
+                    let mut once = true;
+                    let cancel = hits.windings(ray, |from, to, winding| {
+                        found.sums[region][0] += to - from;
+                        once &= winding == 1;
+                    });
+                    found.folded |= u64::from(!(once && cancel)) << region;
                 }
                 let mut marks = Marks::new(grid, axis, [column / 2, row / 2]);
                 sweep.resolve(&hits, ray, |region, from, to| {
-                    sums[region][1] += to - from;
-                    marks.pass(region, from, to, &mut contacts);
+                    found.sums[region][1] += to - from;
+                    marks.pass(region, from, to, &mut found.contacts);
                 });
-                marks.leave(&mut contacts);
+                marks.leave(&mut found.contacts);
             }
-            contacts.sort_unstable();
-            contacts.dedup();
-            (sums, contacts)
+            found.contacts.sort_unstable();
+            found.contacts.dedup();
+            found
         })
         .collect();
     let kept = (0..surfaces.len())
         .map(|r| {
-            let sum = |which: usize| rows.iter().map(|row| row.0[r][which]).sum::<f64>();
+            let sum = |which: usize| rows.iter().map(|row| row.sums[r][which]).sum::<f64>();
             let whole = sum(0);
             if whole > 0.0 { sum(1) / whole } else { 1.0 }
         })
         .collect();
-    for (_, contacts) in rows {
-        walls.add_contacts(contacts);
+    let folded = rows.iter().fold(0, |folded, row| folded | row.folded);
+    for row in rows {
+        walls.add_contacts(row.contacts);
     }
-    kept
+    (kept, folded)
+}
+
+/// What the rays of one row find.
+#[derive(Default)]
+struct Row {
+    /// For each region the length of its rays, and the part that no later region covers.
+    sums: Vec<[f64; 2]>,
+    /// See [`contact`].
+    contacts: Vec<u64>,
+    /// Bit `r`: the winding number in region `r` is not one everywhere.
+    folded: u64,
 }
 
 /// Follows a ray from region to region and records the cells in which two of them touch.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use palpate_tissue::cell::{EDGES, NO_CELL};
+use palpate_tissue::cell::{EDGES, FACES, NO_CELL};
 use palpate_tissue::{Cell, RegionId, Vec3};
 use rayon::prelude::*;
 
@@ -11,6 +11,7 @@ use super::grid::Grid;
 use super::label::Labels;
 use super::walls::Walls;
 use crate::Aabb;
+use crate::surface::Sets;
 
 /// No node stands at this grid point.
 const NO_NODE: u32 = u32::MAX;
@@ -53,8 +54,6 @@ pub(super) struct Mending {
     pub(super) dropped: (usize, usize),
     /// Their positions, at most [`PLACES_MAX`].
     pub(super) crumbs: Vec<Crumb>,
-    /// Number of pieces kept.
-    pub(super) pieces: usize,
 }
 
 /// Restores thin layers, repairs faults and drops pieces until nothing changes. `parts` are the boxes around
@@ -410,7 +409,7 @@ impl Mending {
     }
 }
 
-/// Drops pieces of the whole model that are too small to be intended, and counts the others.
+/// Drops pieces of the whole model that are too small to be intended.
 fn drop_crumbs(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
     let (piece_of, sizes) = pieces(grid, labels, |_, _| true);
     let least = (sizes.iter().copied().max().unwrap_or(0) as f64 * PIECE_MIN).ceil() as usize;
@@ -419,7 +418,6 @@ fn drop_crumbs(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
     for (cell, &piece) in piece_of.iter().enumerate().filter(|(_, p)| small(**p)) {
         dropped.entry(piece).or_default().push(cell);
     }
-    mending.pieces = sizes.len() - 1 - dropped.len();
     for cells in dropped.into_values() {
         let label = labels.label[cells[0]];
         for &cell in &cells {
@@ -432,21 +430,40 @@ fn drop_crumbs(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
 /// The numbered lattice.
 #[derive(Debug)]
 pub(super) struct Lattice {
-    /// Grid point of each node.
+    /// Grid point of each node. A node at opened faces has copies at the same point.
     pub(super) nodes: Vec<[i32; 3]>,
     /// Neighbour of each node along -x, +x, -y, +y, -z, +z, or `u32::MAX`.
     pub(super) adjacent: Vec<[u32; 6]>,
     /// The cells with their neighbours.
     pub(super) cells: Vec<Cell>,
+    /// The opened faces: the two cells, and the face of the first one.
+    pub(super) opened: Vec<([u32; 2], usize)>,
 }
 
-/// Numbers the nodes and cells of the model, x fastest, then y, then z.
-pub(super) fn number(grid: &Grid, labels: &Labels) -> Lattice {
+impl Lattice {
+    /// Number of pieces of the model.
+    pub(super) fn pieces(&self) -> usize {
+        let mut sets = Sets::new(self.cells.len());
+        let mut pieces = self.cells.len();
+        for (cell, at) in self.cells.iter().zip(0..) {
+            for &other in cell.neighbours.iter().filter(|o| **o != NO_CELL) {
+                pieces -= usize::from(sets.join(at, other));
+            }
+        }
+        pieces
+    }
+}
+
+/// Numbers the nodes and cells of the model, x fastest, then y, then z. `open` holds the opened faces, see
+/// [`super::gaps::Joints::open_faces`]. A node has one copy for each group of its cells that are connected through
+/// faces at the node.
+pub(super) fn number(grid: &Grid, labels: &Labels, open: &[usize]) -> Lattice {
     let points = grid.points();
     let point_index = |p: [usize; 3]| p[0] + points[0] * (p[1] + points[1] * p[2]);
     let corner = |at: [usize; 3], c: usize| {
         point_index([at[0] + (c & 1), at[1] + (c >> 1 & 1), at[2] + (c >> 2 & 1)])
     };
+    let is_open = |low: usize, axis: usize| open.binary_search(&(3 * low + axis)).is_ok();
     let mut node_at = vec![NO_NODE; points.iter().product()];
     let mut cell_number = vec![NO_CELL; grid.cell_count()];
     let mut inside = Vec::new();
@@ -460,6 +477,16 @@ pub(super) fn number(grid: &Grid, labels: &Labels) -> Lattice {
             }
         }
     }
+    // The copy at each corner slot of the nodes of opened faces.
+    let mut copies: BTreeMap<usize, [u8; 8]> = BTreeMap::new();
+    for &face in open {
+        let (at, axis) = (cell_at(grid, face / 3), face % 3);
+        for c in FACES[2 * axis + 1] {
+            let point: [usize; 3] = std::array::from_fn(|a| at[a] + (c >> a & 1));
+            let fans = || fans(grid, labels, point, &is_open);
+            copies.entry(point_index(point)).or_insert_with(fans);
+        }
+    }
     let mut nodes = Vec::new();
     for (index, node) in node_at.iter_mut().enumerate().filter(|(_, n)| **n == 0) {
         *node = nodes.len() as u32;
@@ -468,20 +495,40 @@ pub(super) fn number(grid: &Grid, labels: &Labels) -> Lattice {
             index / points[0] % points[1],
             index / (points[0] * points[1]),
         ];
-        nodes.push(at.map(|i| i as i32));
+        let fans = copies.get(&index);
+        let last = fans.and_then(|f| f.iter().filter(|f| **f != NO_FAN).max());
+        for _ in 0..=last.copied().unwrap_or(0) {
+            nodes.push(at.map(|i| i as i32));
+        }
     }
+    copies.retain(|_, fans| fans.iter().any(|f| *f != 0 && *f != NO_FAN));
     let mut adjacent = vec![[NO_NODE; 6]; nodes.len()];
     let mut cells = Vec::with_capacity(inside.len());
     for &cell in &inside {
         let at = cell_at(grid, cell);
-        let corners: [u32; 8] = std::array::from_fn(|c| node_at[corner(at, c)]);
+        let corners: [u32; 8] = std::array::from_fn(|c| {
+            let point = corner(at, c);
+            let copy = if copies.is_empty() {
+                None
+            } else {
+                copies.get(&point)
+            };
+            node_at[point] + copy.map_or(0, |fans| u32::from(fans[c]))
+        });
         for [a, b] in EDGES {
             let axis = (a ^ b).trailing_zeros() as usize;
             adjacent[corners[a] as usize][2 * axis + 1] = corners[b];
             adjacent[corners[b] as usize][2 * axis] = corners[a];
         }
-        let neighbours = face_neighbours(grid, cell)
+        let mut neighbours = face_neighbours(grid, cell)
             .map(|other| other.map_or(NO_CELL, |other| cell_number[other]));
+        if !open.is_empty() {
+            for (face, other) in face_neighbours(grid, cell).into_iter().enumerate() {
+                if other.is_some_and(|other| is_open(cell.min(other), face / 2)) {
+                    neighbours[face] = NO_CELL;
+                }
+            }
+        }
         let region = RegionId(u16::from(labels.label[cell]) - 1);
         cells.push(Cell {
             corners,
@@ -489,11 +536,53 @@ pub(super) fn number(grid: &Grid, labels: &Labels) -> Lattice {
             region,
         });
     }
+    let opened = open.iter().filter_map(|face| {
+        let (cell, axis) = (face / 3, face % 3);
+        let other = face_neighbours(grid, cell)[2 * axis + 1]?;
+        Some(([cell, other].map(|c| cell_number[c]), 2 * axis + 1))
+    });
     Lattice {
         nodes,
         adjacent,
         cells,
+        opened: opened.collect(),
     }
+}
+
+/// Marks a slot without a cell.
+const NO_FAN: u8 = u8::MAX;
+
+/// Groups the cells around a grid point that are connected through faces at the point: the group of the cell at each
+/// slot, from 0 in the order of slots. A cell is in slot `c` when the point is its corner `c`.
+fn fans(
+    grid: &Grid,
+    labels: &Labels,
+    point: [usize; 3],
+    is_open: impl Fn(usize, usize) -> bool,
+) -> [u8; 8] {
+    let cells: [Option<usize>; 8] = std::array::from_fn(|c| {
+        let at: [usize; 3] = std::array::from_fn(|a| point[a].wrapping_sub(c >> a & 1));
+        let inside = (0..3).all(|a| at[a] < grid.cells[a]);
+        let cell = inside.then(|| grid.cell_index(at));
+        cell.filter(|cell| labels.label[*cell] != 0)
+    });
+    let mut fan: [u8; 8] = std::array::from_fn(|c| cells[c].map_or(NO_FAN, |_| c as u8));
+    for axis in 0..3 {
+        for low in (0..8).filter(|c| c >> axis & 1 == 1) {
+            let high = low ^ (1 << axis);
+            if let (Some(cell), Some(_)) = (cells[low], cells[high])
+                && !is_open(cell, axis)
+            {
+                let [to, from] = [fan[low].min(fan[high]), fan[low].max(fan[high])];
+                fan = fan.map(|f| if f == from { to } else { f });
+            }
+        }
+    }
+    // Numbers without gaps.
+    let mut found: Vec<u8> = fan.iter().copied().filter(|f| *f != NO_FAN).collect();
+    found.sort_unstable();
+    found.dedup();
+    fan.map(|f| found.binary_search(&f).map_or(NO_FAN, |n| n as u8))
 }
 
 #[cfg(test)]

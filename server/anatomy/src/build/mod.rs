@@ -3,7 +3,7 @@
 //! 1. A grid of cubes of side Δd is laid around the outermost surface.
 //! 2. Rays decide which region fills each cell ([`label`]). Thin layers and necks get the cells that they need
 //!    to stay connected ([`walls`], [`bridge`]). Doubtful cells are flipped until the surface of every region is a
-//!    manifold ([`lattice`]).
+//!    manifold ([`lattice`]). Faces in gaps that no cell is empty for are opened ([`gaps`]).
 //! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
 //!    nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
 //! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and regions regain the volume that
@@ -19,6 +19,8 @@ mod bridge;
 mod bvh;
 mod compare;
 mod faces;
+mod folds;
+mod gaps;
 mod grid;
 mod input_check;
 mod inside;
@@ -44,6 +46,7 @@ mod untangle;
 mod volume_correction;
 mod walls;
 
+pub use gaps::GapReport;
 pub use interface_samples::DISTANCE_REACH;
 pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
@@ -95,7 +98,8 @@ pub fn build(
     let query = inside::PointQuery::new(&surfaces, grid.middle(), spacing);
     input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
-    let mut input_volumes = label::resolved_volumes(&grid, &surfaces, &mut walls);
+    let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &mut walls);
+    input_check::folds(input, &folds, &mut warnings);
     for (volume, voxels) in input_volumes.iter_mut().zip(&input.voxels_m3) {
         // A label volume is authoritative for the regions that it alone describes.
         *volume = voxels.unwrap_or(*volume);
@@ -103,13 +107,21 @@ pub fn build(
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
     progress("casting rays", 0.1);
-    let mut labels = label::label(&grid, &surfaces, &mut walls);
+    let (mut labels, parts_of) = label::label(&grid, &surfaces, &mut walls);
     let mending = lattice::mend_all(&grid, &mut labels, &walls, &parts);
     let lost = walls.lost(&grid, &labels);
-    drop(walls);
-    input_check::mending(&mending, grid.cell_count(), &mut warnings);
-    let mut lattice = lattice::number(&grid, &labels);
+    let joints = gaps::Joints {
+        grid: &grid,
+        labels: &labels,
+        walls: &walls,
+        parts: &parts_of,
+        fused: &input.scene.fuse,
+    };
+    let open = joints.open_faces();
+    drop((walls, parts_of));
+    let mut lattice = lattice::number(&grid, &labels, &open);
     drop(labels);
+    input_check::mending(&mending, &lattice, grid.cell_count(), &mut warnings);
     if lattice.cells.is_empty() {
         return Err(input_check::too_coarse(&surfaces, spacing));
     }
@@ -137,6 +149,7 @@ pub fn build(
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
     drop(placed.constraints);
+    let opened = std::mem::take(&mut lattice.opened);
     let mut model = Model {
         spacing_m: spacing,
         gravity: input.scene.gravity_m_s2,
@@ -162,6 +175,7 @@ pub fn build(
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     input_check::regions(&regions, &mut warnings);
     input_check::hanging(&model, &mut warnings);
+    let gaps = gaps::reports(&model, &opened);
     let figures = figures(&model, &faces, &names);
     let report = BuildReport {
         nodes: model.nodes.len(),
@@ -180,6 +194,7 @@ pub fn build(
         },
         bars: figures.bars,
         thin: collector.finish(&names),
+        gaps,
         topology_hash: figures.topology_hash,
         warnings,
     };

@@ -71,23 +71,38 @@ impl Hits {
 
     /// Calls `each` with every stretch of a ray that lies inside; see [`Winding`].
     pub(super) fn inside(&self, ray: usize, mut each: impl FnMut(f64, f64)) {
+        let mut last: Option<(f64, f64)> = None;
+        self.windings(ray, |from, to, _| match &mut last {
+            Some(last) if last.1 == from => last.1 = to,
+            _ => {
+                if let Some((from, to)) = last.replace((from, to)) {
+                    each(from, to);
+                }
+            }
+        });
+        if let Some((from, to)) = last {
+            each(from, to);
+        }
+    }
+
+    /// Calls `each` with every stretch of a ray whose winding number is not zero, and that number. Where the turns
+    /// do not cancel, every other stretch has the number one. Returns whether they cancel.
+    pub(super) fn windings(&self, ray: usize, mut each: impl FnMut(f64, f64, i32)) -> bool {
         let hits = self.of(ray);
-        let by_winding = hits.iter().map(|h| i32::from(h.turn)).sum::<i32>() == 0;
-        let mut winding = 0_i32;
-        let mut entered = 0.0;
+        let cancel = hits.iter().map(|h| i32::from(h.turn)).sum::<i32>() == 0;
+        let (mut winding, mut from) = (0_i32, 0.0);
         for hit in hits {
-            let before = winding;
-            winding = if by_winding {
+            if winding != 0 && hit.depth > from {
+                each(from, hit.depth, winding);
+            }
+            winding = if cancel {
                 winding + i32::from(hit.turn)
             } else {
                 1 - winding
             };
-            if before == 0 && winding != 0 {
-                entered = hit.depth;
-            } else if before != 0 && winding == 0 && hit.depth > entered {
-                each(entered, hit.depth);
-            }
+            from = hit.depth;
         }
+        cancel
     }
 }
 

@@ -155,11 +155,17 @@ impl Rims {
     }
 }
 
-/// The sharp edges between two triangles of a mask, for each mask, with the number of the mask.
-pub(super) fn sharp_edges(surface: &Surface, masks: [&[bool]; 2]) -> Vec<(usize, Segment)> {
+/// The sharp edges between two triangles of a mask, for each mask, with the number of the mask. `turned`
+/// triangles face inwards.
+pub(super) fn sharp_edges(
+    surface: &Surface,
+    masks: [&[bool]; 2],
+    turned: &[bool],
+) -> Vec<(usize, Segment)> {
     let normal = |t: u32| {
         let [a, b, c] = surface.corners(t as usize);
-        (b - a).cross(&(c - a)).try_normalize(0.0)
+        let normal = (b - a).cross(&(c - a)).try_normalize(0.0)?;
+        Some(if turned[t as usize] { -normal } else { normal })
     };
     // Sorted instead of in a map: ten million triangles have thirty million uses of edges.
     let mut uses: Vec<[u32; 3]> = Vec::with_capacity(3 * surface.triangles.len());

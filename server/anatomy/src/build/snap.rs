@@ -9,6 +9,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use palpate_tissue::Vec3;
+use palpate_tissue::cell::{FACES, NO_CELL};
 use rayon::prelude::*;
 
 use super::grid::Grid;
@@ -40,6 +41,10 @@ const ON_SURFACE: f64 = 1e-4;
 /// Farthest projection of a node, in spacings; its own interface is never beyond it.
 const REACH: f64 = 4.0;
 
+/// Rings of nodes around a gap without an empty cell that face their own side too: the gap is still narrower than a
+/// node's way to its surface.
+const RINGS: usize = 2;
+
 /// Interfaces meet if a point is found within this distance of all of them, in spacings, ...
 const MEETING: f64 = 0.1;
 /// ... and this near to the lattice point.
@@ -58,6 +63,9 @@ pub(super) struct Constraint {
     faces: u8,
     /// Bit `r`: the inner interface of region `r`, where it overrides others.
     pub(super) owners: u64,
+    /// Sum of the outward directions of the outer faces of a node beside or around a gap; zeros elsewhere. The node goes onto
+    /// triangles that face this way, which are those on its own side.
+    facing: [i8; 3],
 }
 
 impl Constraint {
@@ -98,6 +106,11 @@ impl Constraint {
         }
     }
 
+    /// Whether the node lies beside a gap that no cell is empty for.
+    pub(super) fn beside_gap(self) -> bool {
+        self.facing != [0; 3]
+    }
+
     pub(super) fn single(self) -> bool {
         !self.rim && u32::from(self.outer) + self.owners.count_ones() == 1
     }
@@ -114,22 +127,65 @@ impl Constraint {
 
 /// Reads off the labels around each node which interfaces it lies on.
 pub(super) fn constraints(lattice: &Lattice) -> Vec<Constraint> {
-    let mut around: Vec<(u64, u8)> = vec![(0, 0); lattice.nodes.len()];
+    let mut constraints = vec![Constraint::default(); lattice.nodes.len()];
     for cell in &lattice.cells {
-        for (c, &node) in cell.corners.iter().enumerate() {
-            let entry = &mut around[node as usize];
-            entry.0 |= 1 << cell.region.index();
-            entry.1 |= 1 << c;
+        for &node in &cell.corners {
+            constraints[node as usize].owners |= 1 << cell.region.index();
+        }
+        for (face, corners) in FACES.iter().enumerate() {
+            if cell.neighbours[face] == NO_CELL {
+                for &c in corners {
+                    constraints[cell.corners[c] as usize].outer = true;
+                }
+            }
         }
     }
-    around
-        .into_iter()
-        .map(|(regions, corners)| Constraint {
-            outer: corners != u8::MAX,
-            owners: regions & (regions - 1),
-            ..Constraint::default()
+    for constraint in &mut constraints {
+        constraint.owners &= constraint.owners - 1;
+    }
+    mark_gaps(lattice, &mut constraints);
+    constraints
+}
+
+/// Marks the nodes of opened faces with the direction in which they face.
+fn mark_gaps(lattice: &Lattice, constraints: &mut [Constraint]) {
+    let corners = |(cells, face): &([u32; 2], usize)| {
+        let sides = cells.iter().zip([*face, face ^ 1]);
+        let nodes = sides.flat_map(|(&cell, face)| {
+            let cell = lattice.cells[cell as usize];
+            FACES[face].map(|c| cell.corners[c])
+        });
+        nodes.collect::<Vec<u32>>()
+    };
+    let mut beside: BTreeSet<u32> = lattice.opened.iter().flat_map(corners).collect();
+    if beside.is_empty() {
+        return;
+    }
+    let outer = || {
+        lattice.cells.iter().flat_map(|cell| {
+            let faces = FACES.iter().zip(cell.neighbours);
+            let faces = faces.filter(|(_, other)| *other == NO_CELL);
+            faces.map(|(corners, _)| corners.map(|c| cell.corners[c]))
         })
-        .collect()
+    };
+    for _ in 0..RINGS {
+        let next = outer().filter(|face| face.iter().any(|n| beside.contains(n)));
+        let next: Vec<u32> = next.flatten().collect();
+        beside.extend(next);
+    }
+    for cell in &lattice.cells {
+        for (face, corners) in FACES.iter().enumerate() {
+            if cell.neighbours[face] != NO_CELL {
+                continue;
+            }
+            for node in corners.map(|c| cell.corners[c]) {
+                if beside.contains(&node) {
+                    let facing = &mut constraints[node as usize].facing[face / 2];
+                    *facing += if face % 2 == 1 { 1 } else { -1 };
+                }
+            }
+        }
+    }
 }
 
 /// Marks the nodes on a rim of their interface, and for each corner the nearest of these.
@@ -144,11 +200,11 @@ pub(super) fn mark_rims(
     for cell in &lattice.cells {
         for face in 0..6 {
             let across = cell.neighbours[face];
-            let inner = across != palpate_tissue::cell::NO_CELL;
+            let inner = across != NO_CELL;
             if inner && lattice.cells[across as usize].region >= cell.region {
                 continue;
             }
-            for c in palpate_tissue::cell::FACES[face] {
+            for c in FACES[face] {
                 seen[cell.corners[c] as usize][usize::from(inner)] |= 1 << face;
             }
         }
@@ -327,7 +383,7 @@ pub(super) fn project_near(
     let mut own = constraint.interfaces().filter(|_| constraint.single());
     let near = own
         .next()
-        .and_then(|i| interfaces.bvh(i).nearest(&from, reach));
+        .and_then(|i| nearest_within(interfaces, constraint, i, &from, reach));
     near.unwrap_or_else(|| project(interfaces, constraint, from))
 }
 
@@ -341,7 +397,7 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
         while owners != 0 {
             let region = owners.trailing_zeros() as usize;
             owners &= owners - 1;
-            at = nearest(interfaces, Interface::Of(region), &at).unwrap_or(at);
+            at = nearest(interfaces, constraint, Interface::Of(region), &at).unwrap_or(at);
         }
         let rims = constraint.rim_slot().filter(|_| constraint.rim);
         if let Some(rims) = rims.map(|slot| &interfaces.rims[slot]) {
@@ -358,7 +414,7 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
                 .or_else(|| rims.nearest(&at, |_| true))
                 .unwrap_or(at);
         } else if constraint.outer {
-            at = nearest(interfaces, Interface::Outer, &at).unwrap_or(at);
+            at = nearest(interfaces, constraint, Interface::Outer, &at).unwrap_or(at);
         }
         if (at - before).norm_squared() <= (ARRIVED * interfaces.spacing).powi(2) {
             break;
@@ -367,10 +423,30 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
     at
 }
 
-fn nearest(interfaces: &Interfaces, interface: Interface, at: &Vec3) -> Option<Vec3> {
-    interfaces
-        .bvh(interface)
-        .nearest(at, REACH * interfaces.spacing)
+fn nearest(
+    interfaces: &Interfaces,
+    constraint: Constraint,
+    interface: Interface,
+    at: &Vec3,
+) -> Option<Vec3> {
+    let reach = REACH * interfaces.spacing;
+    nearest_within(interfaces, constraint, interface, at, reach)
+}
+
+/// The nearest point of an interface on the node's own side of a gap.
+fn nearest_within(
+    interfaces: &Interfaces,
+    constraint: Constraint,
+    interface: Interface,
+    at: &Vec3,
+    reach: f64,
+) -> Option<Vec3> {
+    let bvh = interfaces.bvh(interface);
+    if constraint.beside_gap() && interface == Interface::Outer {
+        let way = Vec3::from(constraint.facing.map(f64::from));
+        return bvh.nearest_facing(at, reach, &way);
+    }
+    bvh.nearest(at, reach)
 }
 
 /// The tie rule (reconstructed): where interfaces are closer together than a spacing and do not meet, the
@@ -390,7 +466,7 @@ pub(super) fn settle_ties(
             let from = grid.point(lattice.nodes[node]);
             let at = project(interfaces, *constraint, from);
             let meets = constraint.interfaces().all(|i| {
-                nearest(interfaces, i, &at)
+                nearest(interfaces, *constraint, i, &at)
                     .is_some_and(|p| (p - at).norm() <= MEETING * grid.spacing)
             });
             if meets && (at - from).norm() <= MEETING_REACH * grid.spacing {
@@ -398,7 +474,7 @@ pub(super) fn settle_ties(
             }
             let mut best: Option<(f64, Interface)> = None;
             for interface in constraint.interfaces() {
-                if let Some(p) = nearest(interfaces, interface, &from) {
+                if let Some(p) = nearest(interfaces, *constraint, interface, &from) {
                     let distance = (p - from).norm();
                     if best.is_none_or(|b| distance < b.0) {
                         best = Some((distance, interface));
@@ -411,6 +487,7 @@ pub(super) fn settle_ties(
                     rim: kept,
                     corner: kept && constraint.corner,
                     faces: if kept { constraint.faces } else { 0 },
+                    facing: constraint.facing,
                     ..Constraint::on(taker)
                 };
             }
@@ -440,7 +517,7 @@ pub(super) fn snap(
             if constraint.free() {
                 return;
             }
-            let by_ray = if constraint.single() {
+            let by_ray = if constraint.single() && !constraint.beside_gap() {
                 let at = lattice.nodes[node].map(|i| i as usize);
                 snap_along_rays(grid, at, &hits, interfaces, constraint)
             } else {
@@ -520,7 +597,7 @@ mod tests {
             surface.triangles.extend(quad);
         }
         let mut rims = Rims::default();
-        for (_, segment) in sharp_edges(&surface, [&[true; 6], &[false; 6]]) {
+        for (_, segment) in sharp_edges(&surface, [&[true; 6], &[false; 6]], &[false; 6]) {
             rims.add(segment);
         }
         rims.index(1.0);

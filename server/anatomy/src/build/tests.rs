@@ -45,7 +45,32 @@ pub(super) fn turned(profile: &[(f64, f64)], sides: usize) -> Surface {
     surface
 }
 
-fn ball(radius: f64) -> Surface {
+/// A box with its edges along the axes.
+pub(super) fn cuboid(low: Vec3, high: Vec3) -> Surface {
+    let corner = |c: usize| {
+        Vec3::from_fn(|a, _| if c >> a & 1 == 1 { high[a] } else { low[a] })
+    };
+    let faces = palpate_tissue::cell::FACES.map(|f| f.map(|c| c as u32));
+    Surface {
+        vertices: (0..8).map(corner).collect(),
+        triangles: faces
+            .iter()
+            .flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]])
+            .collect(),
+    }
+}
+
+/// One surface with the triangles of both.
+pub(super) fn both(mut one: Surface, other: &Surface) -> Surface {
+    let first = one.vertices.len() as u32;
+    one.vertices.extend(&other.vertices);
+    let triangles = other.triangles.iter();
+    one.triangles
+        .extend(triangles.map(|t| t.map(|v| v + first)));
+    one
+}
+
+pub(super) fn ball(radius: f64) -> Surface {
     let profile: Vec<(f64, f64)> = (1..48)
         .map(|i| PI * f64::from(i) / 48.0)
         .map(|a| (radius * a.sin(), -radius * a.cos()))
@@ -53,7 +78,7 @@ fn ball(radius: f64) -> Surface {
     turned(&profile, 96)
 }
 
-fn scene(spacing_mm: f64, regions: &[(&str, Surface)]) -> SceneInput {
+pub(super) fn scene(spacing_mm: f64, regions: &[(&str, Surface)]) -> SceneInput {
     let head = format!("format = \"palpate-scene/1\"\nspacing_mm = {spacing_mm}\n");
     let tables = regions.iter().map(|(name, _)| {
         format!("[[region]]\nname = \"{name}\"\nsurface = \"{name}.stl\"\nmaterial = \"fat\"\n")
@@ -63,7 +88,7 @@ fn scene(spacing_mm: f64, regions: &[(&str, Surface)]) -> SceneInput {
     SceneInput::new(scene, regions.iter().map(|r| r.1.clone()).collect()).unwrap()
 }
 
-fn built(spacing_mm: f64, regions: &[(&str, Surface)]) -> (Model, BuildReport) {
+pub(super) fn built(spacing_mm: f64, regions: &[(&str, Surface)]) -> (Model, BuildReport) {
     build(&scene(spacing_mm, regions), &mut |_, _| {}).unwrap()
 }
 

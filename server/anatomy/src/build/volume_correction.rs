@@ -159,7 +159,11 @@ impl Slots {
             .nodes
             .iter()
             .zip(self.normals.iter().zip(&self.shifted))
-            .filter(|(node, _)| untangler.constraint(**node).single())
+            .filter(|(node, _)| {
+                // A node beside a gap stays on its surface, so that the gap keeps its width.
+                let constraint = untangler.constraint(**node);
+                constraint.single() && !constraint.beside_gap()
+            })
             .filter_map(|(node, (normal, shifted))| {
                 let size = normal.norm();
                 let direction = normal.try_normalize(0.0)?;

@@ -15,7 +15,7 @@ mod stl;
 mod weld;
 
 pub use check_report::CheckReport;
-pub(crate) use edges::{Edges, Sets};
+pub(crate) use edges::{Edges, Sets, in_mm};
 pub use read::{FILE_BYTES_MAX, TRIANGLES_MAX};
 
 use palpate_tissue::Vec3;
