@@ -16,7 +16,7 @@ use super::grid::Grid;
 use super::interfaces::{Interface, Interfaces};
 use super::lattice::Lattice;
 use super::rays::{Hits, Rays, cast};
-use super::rim::CORNER_REACH;
+use super::rim::{CORNER_REACH, Segment};
 use crate::Surface;
 
 /// Most alternating projections of a node that lies on several interfaces. Each round shortens the distance to
@@ -60,7 +60,7 @@ pub(super) struct Constraint {
     /// A corner of that rim.
     pub(super) corner: bool,
     /// Bit `f`: a cell face in direction `f` belongs to that rim; zero when any rim will do.
-    faces: u8,
+    seen: u8,
     /// Bit `r`: the inner interface of region `r`, where it overrides others.
     pub(super) owners: u64,
     /// Sum of the outward directions of the outer faces of a node beside or around a gap; zeros elsewhere. The node goes onto
@@ -109,6 +109,15 @@ impl Constraint {
     /// Whether the node lies beside a gap that no cell is empty for.
     pub(super) fn beside_gap(self) -> bool {
         self.facing != [0; 3]
+    }
+
+    /// Whether a normal of the outer surface belongs to the node's own side of a gap.
+    fn faces(self, normal: &Vec3) -> bool {
+        !(self.beside_gap() && self.outer) || self.facing().dot(normal) > 0.0
+    }
+
+    fn facing(self) -> Vec3 {
+        Vec3::from(self.facing.map(f64::from))
     }
 
     pub(super) fn single(self) -> bool {
@@ -221,18 +230,20 @@ pub(super) fn mark_rims(
         let seen = seen[node][usize::from(!constraint.outer)];
         let at = grid.point(lattice.nodes[node]);
         let rims = &interfaces.rims[slot];
-        let corner = rims.nearest_corner(&at);
+        let own = *constraint;
+        let corner = rims.nearest_corner(&at, |normals| own.faces(normals));
         if let Some((corner, distance)) = corner {
             blunt.push((slot, corner, distance, node as u32));
         }
         if seen.count_ones() < 2 {
             continue;
         }
-        let Some(point) = rims.nearest(&at, |s| shows(seen, s.normals)) else {
+        let shown = |s: &Segment| shows(seen, s.normals) && own.faces(&s.facing());
+        let Some(point) = rims.nearest(&at, shown) else {
             continue;
         };
         constraint.rim = true;
-        constraint.faces = seen;
+        constraint.seen = seen;
         claims.push(Claim {
             slot,
             node: node as u32,
@@ -272,12 +283,14 @@ pub(super) fn mark_rims(
     }
     // The node at the end of a rim may be beyond the corner: it accepts any rim.
     for claim in &claims {
-        let end = interfaces.rims[claim.slot].nearest_corner(&claim.point);
+        let own = constraints[claim.node as usize];
+        let rims = &interfaces.rims[claim.slot];
+        let end = rims.nearest_corner(&claim.point, |normals| own.faces(normals));
         let held = end.is_some_and(|(corner, distance)| {
             distance < CLAIM_REACH * grid.spacing && taken.contains(&(claim.slot, corner))
         });
         if held {
-            constraints[claim.node as usize].faces = 0;
+            constraints[claim.node as usize].seen = 0;
         }
     }
 }
@@ -331,6 +344,7 @@ fn settle_claims(
             .map(|step| std::array::from_fn(|a| centre[a] + step[a]))
             .flat_map(|at| places.get(&(claim.slot, at)).into_iter().flatten().copied())
             .filter(|&r| !settled[r] && (claims[r].point - claim.point).norm() < reach)
+            .filter(|&r| !across_gap(claim, &claims[r], constraints, spacing))
             .collect();
         rivals.sort_unstable();
         let middle = rivals.iter().copied().find(|&r| hollow(&claims[r]));
@@ -340,6 +354,15 @@ fn settle_claims(
             constraints[claims[rival].node as usize].rim = rival == winner;
         }
     }
+}
+
+/// Whether two positions are on the two sides of a gap: each lies where the other faces.
+fn across_gap(a: &Claim, b: &Claim, constraints: &[Constraint], spacing: f64) -> bool {
+    let faced = |from: &Claim, to: &Claim| {
+        let facing = constraints[from.node as usize].facing();
+        facing.dot(&(to.point - from.point)) > ON_SURFACE * spacing
+    };
+    faced(a, b) && faced(b, a)
 }
 
 /// Number of the eight cells around each node that lie on the inner side of its interface.
@@ -401,17 +424,20 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
         }
         let rims = constraint.rim_slot().filter(|_| constraint.rim);
         if let Some(rims) = rims.map(|slot| &interfaces.rims[slot]) {
-            let corner = constraint.corner.then(|| rims.corner_near(&at)).flatten();
+            let faces = |normals: &Vec3| constraint.faces(normals);
+            let corner = constraint.corner.then(|| rims.corner_near(&at, faces));
+            let corner = corner.flatten();
             // Rims lie side by side where steps are as large as cells; the node's own rim agrees with its cell
             // faces.
             let own = || {
                 rims.nearest(&at, |s| {
-                    constraint.faces == 0 || shows(constraint.faces, s.normals)
+                    let shown = constraint.seen == 0 || shows(constraint.seen, s.normals);
+                    shown && faces(&s.facing())
                 })
             };
             at = corner
                 .or_else(own)
-                .or_else(|| rims.nearest(&at, |_| true))
+                .or_else(|| rims.nearest(&at, |s| faces(&s.facing())))
                 .unwrap_or(at);
         } else if constraint.outer {
             at = nearest(interfaces, constraint, Interface::Outer, &at).unwrap_or(at);
@@ -443,8 +469,7 @@ fn nearest_within(
 ) -> Option<Vec3> {
     let bvh = interfaces.bvh(interface);
     if constraint.beside_gap() && interface == Interface::Outer {
-        let way = Vec3::from(constraint.facing.map(f64::from));
-        return bvh.nearest_facing(at, reach, &way);
+        return bvh.nearest_facing(at, reach, &constraint.facing());
     }
     bvh.nearest(at, reach)
 }
@@ -486,7 +511,7 @@ pub(super) fn settle_ties(
                 *constraint = Constraint {
                     rim: kept,
                     corner: kept && constraint.corner,
-                    faces: if kept { constraint.faces } else { 0 },
+                    seen: if kept { constraint.seen } else { 0 },
                     facing: constraint.facing,
                     ..Constraint::on(taker)
                 };
@@ -617,7 +642,7 @@ mod tests {
             let constraint = Constraint {
                 outer: true,
                 rim: true,
-                faces,
+                seen: faces,
                 ..Constraint::default()
             };
             project(&interfaces, constraint, from)
