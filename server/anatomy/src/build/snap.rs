@@ -63,8 +63,8 @@ pub(super) struct Constraint {
     seen: u8,
     /// Bit `r`: the inner interface of region `r`, where it overrides others.
     pub(super) owners: u64,
-    /// Sum of the outward directions of the outer faces of a node beside or around a gap; zeros elsewhere. The node goes onto
-    /// triangles that face this way, which are those on its own side.
+    /// Sum of the outward directions of the opened faces of a node beside a gap, or of the outer faces of a node around
+    /// it; zeros elsewhere. The node goes onto triangles that face this way, which are those on its own side.
     facing: [i8; 3],
 }
 
@@ -116,7 +116,13 @@ impl Constraint {
         !(self.beside_gap() && self.outer) || self.facing().dot(normal) > 0.0
     }
 
-    fn facing(self) -> Vec3 {
+    /// Adds the outward direction of a face.
+    fn face(&mut self, face: usize) {
+        self.facing[face / 2] += if face % 2 == 1 { 1 } else { -1 };
+    }
+
+    /// The direction in which a node beside a gap faces; zero elsewhere.
+    pub(super) fn facing(self) -> Vec3 {
         Vec3::from(self.facing.map(f64::from))
     }
 
@@ -156,43 +162,37 @@ pub(super) fn constraints(lattice: &Lattice) -> Vec<Constraint> {
     constraints
 }
 
-/// Marks the nodes of opened faces with the direction in which they face.
+/// Marks the nodes of opened faces and those around them with the direction in which they face: that of their opened
+/// faces, if they have some, else that of their outer ones.
 fn mark_gaps(lattice: &Lattice, constraints: &mut [Constraint]) {
-    let corners = |(cells, face): &([u32; 2], usize)| {
-        let sides = cells.iter().zip([*face, face ^ 1]);
-        let nodes = sides.flat_map(|(&cell, face)| {
-            let cell = lattice.cells[cell as usize];
-            FACES[face].map(|c| cell.corners[c])
-        });
-        nodes.collect::<Vec<u32>>()
-    };
-    let mut beside: BTreeSet<u32> = lattice.opened.iter().flat_map(corners).collect();
+    let mut beside = BTreeSet::new();
+    for &(cells, face) in &lattice.opened {
+        for (cell, face) in cells.into_iter().zip([face, face ^ 1]) {
+            let corners = lattice.cells[cell as usize].corners;
+            for node in FACES[face].map(|c| corners[c]) {
+                constraints[node as usize].face(face);
+                beside.insert(node);
+            }
+        }
+    }
     if beside.is_empty() {
         return;
     }
     let outer = || {
         lattice.cells.iter().flat_map(|cell| {
-            let faces = FACES.iter().zip(cell.neighbours);
-            let faces = faces.filter(|(_, other)| *other == NO_CELL);
-            faces.map(|(corners, _)| corners.map(|c| cell.corners[c]))
+            let faces = (0..6).filter(|f| cell.neighbours[*f] == NO_CELL);
+            faces.map(|face| (face, FACES[face].map(|c| cell.corners[c])))
         })
     };
     for _ in 0..RINGS {
-        let next = outer().filter(|face| face.iter().any(|n| beside.contains(n)));
-        let next: Vec<u32> = next.flatten().collect();
+        let next = outer().filter(|(_, nodes)| nodes.iter().any(|n| beside.contains(n)));
+        let next: Vec<u32> = next.flat_map(|(_, nodes)| nodes).collect();
         beside.extend(next);
     }
-    for cell in &lattice.cells {
-        for (face, corners) in FACES.iter().enumerate() {
-            if cell.neighbours[face] != NO_CELL {
-                continue;
-            }
-            for node in corners.map(|c| cell.corners[c]) {
-                if beside.contains(&node) {
-                    let facing = &mut constraints[node as usize].facing[face / 2];
-                    *facing += if face % 2 == 1 { 1 } else { -1 };
-                }
-            }
+    beside.retain(|node| !constraints[*node as usize].beside_gap());
+    for (face, nodes) in outer() {
+        for node in nodes.into_iter().filter(|n| beside.contains(n)) {
+            constraints[node as usize].face(face);
         }
     }
 }

@@ -47,9 +47,7 @@ pub(super) fn turned(profile: &[(f64, f64)], sides: usize) -> Surface {
 
 /// A box with its edges along the axes.
 pub(super) fn cuboid(low: Vec3, high: Vec3) -> Surface {
-    let corner = |c: usize| {
-        Vec3::from_fn(|a, _| if c >> a & 1 == 1 { high[a] } else { low[a] })
-    };
+    let corner = |c: usize| Vec3::from_fn(|a, _| if c >> a & 1 == 1 { high[a] } else { low[a] });
     let faces = palpate_tissue::cell::FACES.map(|f| f.map(|c| c as u32));
     Surface {
         vertices: (0..8).map(corner).collect(),
@@ -92,7 +90,7 @@ pub(super) fn built(spacing_mm: f64, regions: &[(&str, Surface)]) -> (Model, Bui
     build(&scene(spacing_mm, regions), &mut |_, _| {}).unwrap()
 }
 
-fn assert_sound(model: &Model, report: &BuildReport) {
+pub(super) fn assert_sound(model: &Model, report: &BuildReport) {
     assert!(report.outer_surface.closed, "{report:?}");
     assert_eq!(report.quality.inverted_cells, 0, "{report:?}");
     assert_eq!(report.quality.bad_cells, 0, "{report:?}");

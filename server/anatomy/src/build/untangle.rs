@@ -32,7 +32,11 @@ const AIM: (f64, f64) = (0.08, 0.38);
 const FLOOR: (f64, f64) = (CORNER_FLOOR * 1.001, SPRING_FLOOR * 1.001);
 
 /// Sweeps, and their weights of the distance to the surface (w above). Later sweeps let nodes move farther off.
-const STAGES: [(usize, f64); 3] = [(10, 0.1), (12, 0.01), (16, 0.001)];
+const STAGES: [(usize, f64); 3] = [(10, 0.1), (12, 0.01), (16, LAST_HOLD)];
+/// The weight at which nodes beside gaps may leave their surfaces too.
+const LAST_HOLD: f64 = 0.001;
+/// Least weight of the distance of these nodes.
+const HOLD_AT_GAP: f64 = 1.0;
 /// Weight of the distance to the current position (ε above).
 const INERTIA: f64 = 0.02;
 /// Newton steps per visit.
@@ -204,13 +208,25 @@ impl<'a> Untangler<'a> {
             let off = (project(self.interfaces, constraint, at) - at) / self.spacing;
             // Off the surface the normal is the direction back to it. On the surface the term vanishes; it acts
             // at the next visit that finds the node off the surface.
-            if let Some(normal) = off.try_normalize(1e-9) {
+            let normal = off.try_normalize(1e-9);
+            // The two sides of a gap would meet if their nodes left their surfaces, so other nodes have to move.
+            let (normal, hold) = if constraint.beside_gap() {
+                let facing = constraint.facing().try_normalize(0.0);
+                (normal.or(facing), hold.max(HOLD_AT_GAP))
+            } else {
+                (normal, hold)
+            };
+            if let Some(normal) = normal {
                 pull.0 += normal * normal.transpose() * hold;
                 pull.1 += off * hold;
             }
         }
         let stencil = Stencil::gather(self, node, positions);
-        at + stencil.minimise(&pull.0, &pull.1) * self.spacing
+        let to = at + stencil.minimise(&pull.0, &pull.1) * self.spacing;
+        if constraint.beside_gap() && hold > LAST_HOLD {
+            return project(self.interfaces, constraint, to);
+        }
+        to
     }
 
     /// Moves the nodes of failing cells back towards their lattice points until none fails.
