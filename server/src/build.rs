@@ -227,21 +227,24 @@ fn describe_bars(r: &BuildReport, text: &mut String) {
     for bar in &r.bars {
         let [x, y, z] = bar.cells;
         let along = ["x", "y", "z"][bar.axis.min(2)];
-        let _ = match bar.measured_kpa {
-            Some(measured) => writeln!(
+        let percent = |measured: f64, expected: f64| 100.0 * (measured / expected - 1.0);
+        let _ = match (bar.measured_kpa, bar.measured_poisson) {
+            (Some(young), Some(ratio)) => writeln!(
                 text,
-                "bar of {}, {x} x {y} x {z} cells pulled along {along}: {:.3} kPa asked for, {measured:.3} \
-                 shown ({:+.1} %)",
+                "bar of {}, {x} x {y} x {z} cells pulled along {along}: {:.3} kPa asked for, {young:.3} \
+                 shown ({:+.1} %); Poisson's ratio {:.3} asked for, {ratio:.3} shown ({:+.1} %)",
                 bar.region,
                 bar.expected_kpa,
-                100.0 * (measured / bar.expected_kpa - 1.0)
+                percent(young, bar.expected_kpa),
+                bar.expected_poisson,
+                percent(ratio, bar.expected_poisson)
             ),
-            None if x == 0 => writeln!(
+            _ if x == 0 => writeln!(
                 text,
                 "bar of {}: the region is too thin for one",
                 bar.region
             ),
-            None => writeln!(
+            _ => writeln!(
                 text,
                 "bar of {}, {x} x {y} x {z} cells pulled along {along}: found no equilibrium",
                 bar.region

@@ -4,7 +4,8 @@
 //! reliable events is reached only by a replica that has stalled.
 
 use std::collections::VecDeque;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::Thread;
 
 use palpate_protocol::session::ClientEvent;
 
@@ -20,6 +21,7 @@ const EVENTS_MAX: usize = 120_000;
 #[derive(Debug, Default)]
 pub(crate) struct Inbox {
     events: Mutex<VecDeque<ClientEvent>>,
+    reader: OnceLock<Thread>,
 }
 
 impl Inbox {
@@ -37,8 +39,18 @@ impl Inbox {
         if events.len() >= EVENTS_MAX && !is_last {
             return false;
         }
+        let wakes = matches!(event, ClientEvent::Operation(_));
         events.push_back(event);
+        drop(events);
+        if let Some(reader) = self.reader.get().filter(|_| wakes) {
+            reader.unpark();
+        }
         true
+    }
+
+    /// Makes the calling thread the reader, which operations unpark.
+    pub(crate) fn read_here(&self) {
+        self.reader.get_or_init(std::thread::current);
     }
 
     /// All queued events, oldest first.

@@ -1,5 +1,7 @@
 //! The client's clock: the machine's monotonic clock, in microseconds.
 
+use std::time::Duration;
+
 use palpate_device::DeviceTime;
 use palpate_protocol::{ClientTime, Span};
 use palpate_transport::threads;
@@ -20,6 +22,20 @@ pub fn sleep_until(deadline: ClientTime) {
     threads::sleep_until_ns(deadline.as_micros().saturating_mul(1000));
 }
 
+/// Sleeps until `deadline` or until this thread is unparked. Returns whether the deadline is still ahead. Returns `false`
+/// at once on Windows, which parks threads for up to 15 ms longer.
+pub fn park_until(deadline: ClientTime) -> bool {
+    if cfg!(windows) {
+        return false;
+    }
+    let ahead = (deadline - monotonic_now()).as_micros();
+    let Some(ahead) = u64::try_from(ahead).ok().filter(|us| *us > 0) else {
+        return false;
+    };
+    std::thread::park_timeout(Duration::from_micros(ahead));
+    monotonic_now() < deadline
+}
+
 /// A time of this clock for a device that runs on it.
 pub fn device_time(now: ClientTime) -> DeviceTime {
     DeviceTime::from_micros(now.as_micros())
@@ -29,7 +45,18 @@ pub fn device_time(now: ClientTime) -> DeviceTime {
 mod tests {
     use palpate_protocol::Span;
 
-    use super::{monotonic_now, sleep_until, worked};
+    use super::{monotonic_now, park_until, sleep_until, worked};
+
+    #[cfg(not(windows))]
+    #[test]
+    fn unparked_thread_returns_before_its_deadline() {
+        std::thread::current().unpark();
+        assert!(park_until(monotonic_now() + Span::from_millis(10_000)));
+        let deadline = monotonic_now() + Span::from_micros(500);
+        while park_until(deadline) {}
+        assert!(monotonic_now() >= deadline);
+        assert!(!park_until(deadline));
+    }
 
     #[test]
     fn clock_is_monotonic_and_sleep_reaches_deadline() {

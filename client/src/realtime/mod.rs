@@ -27,7 +27,7 @@ mod tests;
 mod trace;
 
 pub(crate) use alone::single_thread_pool;
-pub use clock::{device_time, monotonic_now, sleep_until, worked};
+pub use clock::{device_time, monotonic_now, park_until, sleep_until, worked};
 pub use hand_loop::{
     DeviceCounts, ENABLE_EVERY, Frame, HandLoop, LoopCommands, Turned, local_sample, tool_buttons,
 };

@@ -7,7 +7,7 @@ use palpate_transport::threads::{self, ThreadClass};
 
 use crate::realtime::single_thread_pool;
 
-/// A thread that prepares cuts in log order. Dropping this ends it.
+/// A thread that prepares cuts in log order and unparks the one that created it after each. Dropping this ends it.
 pub(crate) struct CutWorker {
     orders: Sender<CutOrder>,
     news: Receiver<Result<MadeCut, ReplicaError>>,
@@ -17,9 +17,14 @@ impl CutWorker {
     pub(crate) fn spawn(prefetch: Prefetch) -> std::io::Result<Self> {
         let (orders, received) = channel();
         let (results, news) = channel();
+        let reader = std::thread::current();
         threads::spawn(ThreadClass::Cut, "cuts", move || {
             let _pool = single_thread_pool();
-            serve(prefetch, &received, &results);
+            serve(prefetch, &received, &|news| {
+                let sent = results.send(news);
+                reader.unpark();
+                sent.is_ok()
+            });
         })?;
         Ok(Self { orders, news })
     }
@@ -48,7 +53,7 @@ fn ended() -> ReplicaError {
 fn serve(
     mut prefetch: Prefetch,
     received: &Receiver<CutOrder>,
-    results: &Sender<Result<MadeCut, ReplicaError>>,
+    answer: &dyn Fn(Result<MadeCut, ReplicaError>) -> bool,
 ) {
     loop {
         if !prefetch.can_work() {
@@ -63,7 +68,7 @@ fn serve(
         };
         // After an error the replica differs from the session.
         let is_last = news.is_err();
-        if results.send(news).is_err() || is_last {
+        if !answer(news) || is_last {
             return;
         }
     }

@@ -1,7 +1,7 @@
 //! The replica thread: runs a [`Site`] in real time.
 //!
 //! Every 4 ms it takes session events and hand samples, applies due operations, solves the haptic shape, and
-//! publishes the results. Two helper threads prepare cuts and solve the view.
+//! publishes the results. Two helper threads prepare cuts and solve the view. Operations and prepared cuts wake it in between.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
@@ -25,7 +25,9 @@ use super::view_thread::{Order, ViewReport, ViewThread};
 use crate::network::Inbox;
 use crate::page::PageWindow;
 use crate::program::Ending;
-use crate::realtime::{Frame, device_time, monotonic_now, single_thread_pool, sleep_until, worked};
+use crate::realtime::{
+    Frame, device_time, monotonic_now, park_until, single_thread_pool, sleep_until, worked,
+};
 use crate::recording::{Recording, VIEW_HZ, ViewRecord};
 use crate::{SolveTimes, StartAt, Summary};
 
@@ -164,6 +166,7 @@ struct ReplicaLoop {
 
 impl ReplicaLoop {
     fn run(&mut self, stop: &AtomicBool, mut budget: CpuBudget) {
+        self.inputs.inbox.read_here();
         let mut deadline = monotonic_now();
         let mut charged = worked();
         let period = if self.inputs.hand.is_some() {
@@ -182,13 +185,31 @@ impl ReplicaLoop {
             charged = cpu;
             // Missed periods after a long solve are skipped.
             deadline = (deadline + period).max(now + rest);
-            sleep_until(deadline);
+            self.rest_until(deadline, now + rest);
         }
     }
 
-    fn step(&mut self) {
-        if let Err(error) = self.handle_events() {
+    /// Sleeps until the deadline. Cuts that arrive or are ready after `free` are handled in between.
+    fn rest_until(&mut self, deadline: ClientTime, free: ClientTime) {
+        sleep_until(free);
+        while self.ending.is_none() && park_until(deadline) {
+            self.guarded(Self::handle_events);
+            self.view();
+        }
+        sleep_until(deadline);
+    }
+
+    /// Ends the session if `part` fails. Returns whether it succeeded.
+    fn guarded(&mut self, part: impl FnOnce(&mut Self) -> Result<(), SiteError>) -> bool {
+        let result = part(self);
+        if let Err(error) = &result {
             self.ending = Some(Ending::Diverged(error.to_string()));
+        }
+        result.is_ok()
+    }
+
+    fn step(&mut self) {
+        if !self.guarded(Self::handle_events) {
             return;
         }
         self.handle_samples();
@@ -196,8 +217,7 @@ impl ReplicaLoop {
         self.pass_requests();
         self.start_script();
         self.haptic();
-        if let Err(error) = self.order_cuts() {
-            self.ending = Some(Ending::Diverged(error.to_string()));
+        if !self.guarded(Self::order_cuts) {
             return;
         }
         self.view();

@@ -9,11 +9,11 @@ use std::collections::{BTreeMap, VecDeque};
 use crate::Span;
 
 /// From an operation or a refusal to its copies: in another packet, and after a short burst of losses.
-pub const OPERATION_COPIES_AFTER: &[Span] = &[Span::from_millis(4), Span::from_millis(12)];
+pub const OPERATION_COPIES_AFTER: &[Span] = &[Span::from_millis(2), Span::from_millis(10)];
 
-/// From a request to its copy. Most parts of a stroke open nothing, so that requests are six times as frequent as operations
-/// and have one copy only.
-pub const REQUEST_COPIES_AFTER: &[Span] = &[Span::from_millis(4)];
+/// From a request to its copy, in the packet of the next motion. Most parts of a stroke open nothing, so that requests are six
+/// times as frequent as operations and have one copy only.
+pub const REQUEST_COPIES_AFTER: &[Span] = &[Span::from_millis(2)];
 
 /// Longer messages have no copies: it must fit a datagram with its header.
 pub const COPY_MAX_BYTES: usize = 1024;
@@ -196,7 +196,7 @@ mod tests {
                 left.push((t, number));
             }
         }
-        assert_eq!(left, [(9, 1), (14, 2), (17, 1), (22, 2)]);
+        assert_eq!(left, [(7, 1), (12, 2), (15, 1), (20, 2)]);
         assert_eq!(copies.due(), None);
     }
 

@@ -39,7 +39,9 @@ pub use client::{ClientSession, DELAY_REPORT_PERIOD, PROBE_PERIOD, PROBE_PERIOD_
 pub use copies::{COPY_MAX_BYTES, MessageCopy, OPERATION_COPIES_AFTER, REQUEST_COPIES_AFTER};
 pub use link::{LinkStats, NoiseCounters};
 pub use picture::{PICTURE_RATE_BITS_PER_S, PICTURE_STEP_UM, Picture, PictureStats};
-pub use server::{FUTURE_MAX, REFUSALS_BURST_MAX, REQUESTS_PER_SECOND_MAX, ServerPeer};
+pub use server::{
+    FUTURE_MAX, REFUSALS_BURST_MAX, REQUESTS_BURST_MAX, REQUESTS_PER_SECOND_MAX, ServerPeer,
+};
 
 /// A participant that is silent for this long is removed together with its tool.
 pub const PEER_SILENCE: Span = Span::from_millis(2000);

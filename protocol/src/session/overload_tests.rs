@@ -99,12 +99,32 @@ proptest! {
                 }
             }
             let by_rate = f64::from(REQUESTS_PER_SECOND_MAX) * now.as_secs_f64();
-            prop_assert!(accepted <= by_rate + f64::from(REQUESTS_PER_SECOND_MAX));
+            prop_assert!(accepted <= by_rate + f64::from(REQUESTS_BURST_MAX));
             prop_assert!(refused <= by_rate + f64::from(REFUSALS_BURST_MAX));
             prop_assert_eq!(accepted + refused + f64::from(u8::from(is_flood)), i as f64 + 1.0);
             if is_flood {
                 break;
             }
+        }
+    }
+
+    #[test]
+    fn cutting_client_is_not_refused_after_any_stalls_below_the_silence_of_a_peer(
+        stalls_ms in prop::collection::vec((0..5000_i64, 0..2000_i64), 1..8),
+    ) {
+        let mut peer = joined();
+        let mut stalls = stalls_ms.into_iter();
+        let (mut from, mut until) = (0, 0);
+        for id in 1..1000_u32 {
+            // 40 parts of a stroke and 5 reports per second.
+            let sent_ms = i64::from(id) * 1000 / 45;
+            if sent_ms >= until && let Some((pause, length)) = stalls.next() {
+                from = sent_ms + pause;
+                until = from + length;
+            }
+            let arrives_ms = if sent_ms >= from { sent_ms.max(until) } else { sent_ms };
+            peer.handle_stream(&request(id), ServerTime::from_micros(arrives_ms * 1000));
+            prop_assert!(matches!(peer.poll_event(), Some(PeerEvent::Request(_))));
         }
     }
 

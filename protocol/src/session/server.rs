@@ -23,9 +23,12 @@ use crate::session::{
 };
 use crate::{OperationId, ParticipantId, ProtocolError, ServerTime, Span, TokenBucket, ToolTrack};
 
-/// Rate and burst of accepted requests. Further ones are refused with
+/// Rate of accepted requests. Further ones are refused with
 /// [`RequestRefusal::TooMany`](crate::request::RequestRefusal::TooMany).
 pub const REQUESTS_PER_SECOND_MAX: u32 = 50;
+
+/// Burst of accepted requests: a stall brings the parts of a stroke of [`PEER_SILENCE`](super::PEER_SILENCE) at once.
+pub const REQUESTS_BURST_MAX: u32 = 128;
 
 /// Burst of refused requests; their rate is [`REQUESTS_PER_SECOND_MAX`], too. A client that sends more
 /// ignores its refusals, and its session is closed. A client that repeats all requests of a broken
@@ -109,7 +112,7 @@ impl ServerPeer {
             started: now,
             last_received: now,
             heartbeat_due: now,
-            accepted: TokenBucket::new(rate, rate, now - ServerTime::ZERO),
+            accepted: TokenBucket::new(rate, REQUESTS_BURST_MAX.into(), now - ServerTime::ZERO),
             refused: TokenBucket::new(rate, REFUSALS_BURST_MAX.into(), now - ServerTime::ZERO),
             round_trip: RoundTrip::default(),
         }

@@ -190,7 +190,7 @@ fn run_peer(from: &str, what: &str) -> &'static str {
             peer.handle_timeout(late);
         }
         "a flood of requests" => {
-            for _ in 0..=REQUESTS_PER_SECOND_MAX + REFUSALS_BURST_MAX {
+            for _ in 0..=REQUESTS_BURST_MAX + REFUSALS_BURST_MAX {
                 peer.handle_stream(&request(fine.clone()), now);
             }
         }

@@ -463,7 +463,7 @@ fn excess_requests_are_refused_and_the_session_continues() {
     let mut pair = Pair::new(1, 20_000, 0, 0.0);
     pair.join(0);
     pair.steps(200);
-    for version in 0..80 {
+    for version in 0..REQUESTS_BURST_MAX + 30 {
         let kind = RequestKind::TopologyReport {
             version,
             hash: TopologyHash(0),

@@ -20,6 +20,14 @@ fn sample_moduli_match_materials_in_regions_three_cells_thick() {
             if bar.cells.into_iter().min() >= Some(3) {
                 let error = bar.measured_kpa.unwrap() / bar.expected_kpa - 1.0;
                 assert!(error.abs() < 0.05, "{sample}: {bar:?}");
+                // Three distorted cells across a bar of the leg: 0.235 instead of 0.25.
+                let allowed = if bar.cells.into_iter().min() >= Some(4) {
+                    0.05
+                } else {
+                    0.07
+                };
+                let error = bar.measured_poisson.unwrap() / bar.expected_poisson - 1.0;
+                assert!(error.abs() < allowed, "{sample}: {bar:?}");
             }
         }
     }

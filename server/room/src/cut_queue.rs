@@ -3,12 +3,12 @@
 use std::collections::VecDeque;
 
 use palpate_protocol::ParticipantId;
+use palpate_protocol::session::REQUESTS_BURST_MAX;
 
 use crate::authority::CutOrder;
 
-/// Maximum cuts of one author, waiting or in preparation. A reconnected client repeats the parts of a stroke of the last two
-/// seconds at once.
-const PER_AUTHOR_MAX: usize = 72;
+/// Maximum cuts of one author, waiting or in preparation: the burst of requests, so that a stroke survives a stall.
+const PER_AUTHOR_MAX: usize = REQUESTS_BURST_MAX as usize;
 
 /// Cuts in preparation at once: one at the cutter and one on its way there.
 const PREPARED_AT_ONCE: usize = 2;

@@ -67,7 +67,7 @@ pub use cut::{
 };
 pub use cut_history::CutHistory;
 pub use equilibrium::{
-    Budget, CutPreparer, Mechanism, PreparedCut, Retired, Sag, StepReport, TopologyCut,
+    Budget, CutPreparer, Mechanism, PreparedCut, Retired, Sag, StepReport, Tension, TopologyCut,
 };
 pub use material::{FibreAxis, Material};
 pub use model::{Model, Region, RegionId};

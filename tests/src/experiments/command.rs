@@ -20,6 +20,7 @@ Examples:
   palpate-lab run press --model thigh.palp --json
   palpate-lab run table-7-1 --motion hand.csv    columns time_s,x_m,y_m,z_m[,qw,qx,qy,qz]; see `palpate-lab hand`
   palpate-lab run replicas --seeds 1000 --real 20 --json
+  palpate-lab run atc-adaptive --profile lan,lte one run per network
   palpate-lab run mine.toml                      experiment and options from a file;
                                                  command-line options override the file's
   palpate-lab all --out report                   all experiments, and report/index.html with all tables and charts
@@ -29,6 +30,7 @@ An experiment file (its paths are relative to the file):
   experiment = \"table-7-1\"
   seed = 7                                       also seeds, real, profile, model, if the experiment accepts them
   motion = \"hand.csv\"
+  profile = [\"lan\", \"mine-too.toml\"]             or a single one
 
 --json prints one JSON object; --out writes it to NAME.json, and charts (SVG), pictures (PNG) and tables (CSV):
   table-7-1     {experiment, seed, hands [{hand, rate_hz of a recording, speed_rms_mm_s}], rows [{hand, kind:
@@ -51,6 +53,7 @@ An experiment file (its paths are relative to the file):
                 measured, expected}], quality [{model, refinement, cells, inverted, worst, p5, mean, shortest_spring}]}
   on tissue     {experiment, spots | cases | materials | paths [{..., deviation {largest, n, rms, worst}}]}: largest force
                 (N) or torque (N m), rms and worst deviation from the converged solution as shares of it
+Over several networks: {networks [the figures of each], ok, missed}.
 Lengths end in _mm or _um, times in _ms, angles in _deg; shares are 0 to 1 unless they end in _percent.
 
 Rendered forces come from the client's haptic path: contact models solved 250 times per second with 1 ms of work each,

@@ -62,19 +62,30 @@ pub struct Inputs {
 }
 
 impl Inputs {
-    /// Loads the files of a recipe; built models go into `dir`.
-    pub(super) fn load(recipe: &Recipe, dir: &Path) -> Result<Self, String> {
-        let profile = recipe.profile.as_deref().map(Profile::parse);
-        let mut profile = profile.transpose()?;
+    /// Loads the files of a recipe, for one run per network; built models go into `dir`.
+    pub(super) fn load(recipe: &Recipe, dir: &Path) -> Result<Vec<Self>, String> {
+        let profiles = recipe.profile.iter().map(|name| Profile::parse(name));
+        let mut profiles: Vec<Profile> = profiles.collect::<Result<_, _>>()?;
+        for (k, profile) in profiles.iter().enumerate() {
+            if profiles[..k].iter().any(|p| p.name == profile.name) {
+                return Err(format!(
+                    "two networks are named \"{}\"; rename one in its file",
+                    profile.name
+                ));
+            }
+        }
         if let Some(offset_s) = recipe.trace_offset {
-            let recorded = profile.as_mut().filter(|p| p.has_trace());
-            let recorded = recorded.ok_or("--trace-offset needs a --profile with a trace")?;
+            if profiles.is_empty() || !profiles.iter().all(Profile::has_trace) {
+                return Err("--trace-offset needs a --profile with a trace".into());
+            }
             if !(0.0..=TRACE_OFFSET_MAX_S).contains(&offset_s) {
                 return Err(format!(
                     "--trace-offset {offset_s} is out of range; use a number from 0 to {TRACE_OFFSET_MAX_S}"
                 ));
             }
-            recorded.begin_traces_at(offset_s);
+            for profile in &mut profiles {
+                profile.begin_traces_at(offset_s);
+            }
         }
         let motion = recipe.motion.as_ref().map(|file| {
             let motion = Motion::load(Path::new(file)).map_err(|e| format!("{file}: {e}"));
@@ -86,15 +97,23 @@ impl Inputs {
             .model
             .as_ref()
             .map(|name| TestModel::prepare(name, dir).map(|built| built.model));
-        Ok(Self {
-            profile,
+        let default = Self {
+            profile: None,
             motion,
             model: model.transpose()?,
             seed: recipe.seed,
             seeds: recipe.seeds,
             real: recipe.real,
             safe_delays: SafeDelays::default(),
-        })
+        };
+        if profiles.is_empty() {
+            return Ok(vec![default]);
+        }
+        let over = |profile| Self {
+            profile: Some(profile),
+            ..default.clone()
+        };
+        Ok(profiles.into_iter().map(over).collect())
     }
 }
 
@@ -141,8 +160,26 @@ impl Bench<'_> {
 }
 
 impl Experiment {
-    /// Runs an experiment on one thread, as the haptic path requires, or a benchmark.
+    /// Runs an experiment once per network, or a benchmark.
     pub(super) fn run(
+        &self,
+        networks: Vec<Inputs>,
+        dir: &Path,
+        progress: &mut Progress<'_>,
+    ) -> Result<Outcome, String> {
+        let all = networks.len() as f64;
+        let mut outcomes = Vec::new();
+        for (k, inputs) in networks.into_iter().enumerate() {
+            let name = inputs.profile.as_ref().map(|p| p.name.clone());
+            let mut within = |what: &str, share: f64| progress(what, (k as f64 + share) / all);
+            let outcome = self.run_over(inputs, dir, &mut within)?;
+            outcomes.push((name.unwrap_or_default(), outcome));
+        }
+        Ok(Outcome::of_networks(outcomes))
+    }
+
+    /// On one thread, as the haptic path requires.
+    fn run_over(
         &self,
         inputs: Inputs,
         dir: &Path,

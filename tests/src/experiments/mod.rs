@@ -39,7 +39,7 @@ mod tool_paths;
 use std::path::Path;
 
 use palpate_tissue::file::write_file;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::chart::Chart;
 use command::make_folder;
@@ -61,6 +61,34 @@ pub struct Outcome {
 }
 
 impl Outcome {
+    /// The outcomes of one experiment over several networks, which end the names of charts, pictures and tables.
+    fn of_networks(mut outcomes: Vec<(String, Self)>) -> Self {
+        if outcomes.len() == 1 {
+            return outcomes.swap_remove(0).1;
+        }
+        let mut all = Self::default();
+        let mut rows = Vec::new();
+        let mut missed = Vec::new();
+        for (network, outcome) in outcomes {
+            let is_safe = |c: char| c.is_alphanumeric() || "._-".contains(c);
+            let network = network.replace(|c| !is_safe(c), "-");
+            let of = |name: String| format!("{name}-{network}");
+            missed.extend(outcome.missed());
+            rows.push(outcome.figures);
+            let between = if all.caption.is_empty() { "" } else { "\n\n" };
+            all.caption += between;
+            all.caption += &outcome.caption;
+            all.charts
+                .extend(outcome.charts.into_iter().map(|(n, c)| (of(n), c)));
+            all.pictures
+                .extend(outcome.pictures.into_iter().map(|(n, p)| (of(n), p)));
+            all.tables
+                .extend(outcome.tables.into_iter().map(|(n, t)| (of(n), t)));
+        }
+        all.figures = json!({ "networks": rows, "ok": missed.is_empty(), "missed": missed });
+        all
+    }
+
     /// Writes charts, pictures, tables and the figures as `name.json` into `dir`, which is created if necessary.
     pub fn write(&self, dir: &Path, name: &str) -> Result<(), String> {
         make_folder(dir)?;

@@ -6,7 +6,7 @@
 //! seeds = 100
 //! real = 20
 //! motion = "hand.csv"         # files are looked for beside this one
-//! profile = "transatlantic"
+//! profile = "transatlantic"   # or a list, for one run per network
 //! model = "thigh"
 //! ```
 
@@ -38,6 +38,19 @@ fn up_to<'de, const MAX: u64, D: Deserializer<'de>>(value: D) -> Result<Option<u
     )))
 }
 
+fn one_or_more<'de, D: Deserializer<'de>>(value: D) -> Result<Vec<String>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged, expecting = "expected a network or a list of networks")]
+    enum Names {
+        One(String),
+        More(Vec<String>),
+    }
+    Ok(match Names::deserialize(value)? {
+        Names::One(name) => vec![name],
+        Names::More(names) => names,
+    })
+}
+
 /// An experiment and its options, in a file or on the command line.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, Args)]
 #[serde(deny_unknown_fields)]
@@ -59,9 +72,10 @@ pub struct Recipe {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=REAL_MAX))]
     #[serde(default, deserialize_with = "up_to::<REAL_MAX, _>")]
     pub real: Option<u64>,
-    /// Network instead of the default: a name, or a file (.toml)
-    #[arg(long)]
-    pub profile: Option<String>,
+    /// Networks instead of the default, separated by commas: names or files (.toml); the experiment runs once per network
+    #[arg(long, value_name = "PROFILES", value_delimiter = ',')]
+    #[serde(default, deserialize_with = "one_or_more")]
+    pub profile: Vec<String>,
     /// Where every session begins in the traces of the network, s [default: a random time for each seed and site]
     #[arg(long, value_name = "SECONDS")]
     pub trace_offset: Option<f64>,
@@ -98,7 +112,11 @@ impl Recipe {
             seed: self.seed.or(file.seed),
             seeds: self.seeds.or(file.seeds),
             real: self.real.or(file.real),
-            profile: self.profile.or(file.profile),
+            profile: if self.profile.is_empty() {
+                file.profile
+            } else {
+                self.profile
+            },
             trace_offset: self.trace_offset.or(file.trace_offset),
             motion: self.motion.or(file.motion),
         }
@@ -112,7 +130,7 @@ impl Recipe {
             (Input::Real, self.real.is_some()),
             (
                 Input::Profile,
-                self.profile.is_some() || self.trace_offset.is_some(),
+                !self.profile.is_empty() || self.trace_offset.is_some(),
             ),
             (Input::Motion, self.motion.is_some()),
         ]
@@ -137,8 +155,21 @@ mod tests {
         );
         assert_eq!(
             (recipe.motion.as_deref(), recipe.profile),
-            (Some("a.csv"), None)
+            (Some("a.csv"), vec![])
         );
+    }
+
+    #[test]
+    fn recipe_accepts_one_network_or_several() {
+        for (value, expected) in [
+            ("\"lan\"", vec!["lan"]),
+            ("[\"lan\", \"lte\"]", vec!["lan", "lte"]),
+        ] {
+            let recipe = Recipe::parse(&format!("experiment = \"thin\"\nprofile = {value}\n"));
+            assert_eq!(recipe.unwrap().profile, expected);
+        }
+        let said = Recipe::parse("experiment = \"thin\"\nprofile = 7\n").unwrap_err();
+        assert!(said.contains("a network or a list of networks"), "{said}");
     }
 
     #[test]

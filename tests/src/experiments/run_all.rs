@@ -34,9 +34,9 @@ pub struct AllArguments {
     /// Seed for experiments with random numbers [default: 1]
     #[arg(long)]
     seed: Option<u64>,
-    /// Network for experiments with a network: a name, or a file (.toml)
-    #[arg(long)]
-    profile: Option<String>,
+    /// Networks for experiments with a network, separated by commas: names or files (.toml)
+    #[arg(long, value_name = "PROFILES", value_delimiter = ',')]
+    profile: Vec<String>,
     /// Recorded hand motion, a table (.csv) or a recording (.json), for experiments with a hand motion
     #[arg(long, value_name = "FILE")]
     motion: Option<String>,
@@ -61,7 +61,11 @@ impl AllArguments {
         let takes = |input| experiment.takes.contains(&input);
         Recipe {
             seed: self.seed.filter(|_| takes(Input::Seed)),
-            profile: self.profile.clone().filter(|_| takes(Input::Profile)),
+            profile: if takes(Input::Profile) {
+                self.profile.clone()
+            } else {
+                Vec::new()
+            },
             motion: self.motion.clone().filter(|_| takes(Input::Motion)),
             ..Recipe::default()
         }
@@ -77,7 +81,8 @@ impl AllArguments {
             // Writing to a string cannot fail.
             let _ = write!(command, " --seed {}", recipe.seed.unwrap_or(SEED));
         }
-        for (option, value) in [("profile", recipe.profile), ("motion", recipe.motion)] {
+        let networks = (!recipe.profile.is_empty()).then(|| recipe.profile.join(","));
+        for (option, value) in [("profile", networks), ("motion", recipe.motion)] {
             if let Some(value) = value {
                 let _ = write!(command, " --{option} {value}");
             }
@@ -118,7 +123,9 @@ pub fn all(arguments: &AllArguments) -> Result<bool, String> {
         };
         let run = AssertUnwindSafe(|| {
             let mut inputs = Inputs::load(&arguments.recipe(item), kept.path())?;
-            inputs.safe_delays = safe_delays.clone();
+            for network in &mut inputs {
+                network.safe_delays = safe_delays.clone();
+            }
             item.run(inputs, kept.path(), &mut report_progress)
         });
         // The temporary state of an item is dropped after a panic.

@@ -1,4 +1,4 @@
-//! Virtual bars: Young's modulus of a built region compared with the modulus of its material.
+//! Virtual bars: Young's modulus and Poisson's ratio of a built region compared with those of its material.
 //!
 //! From each region that is not pinned a bar of cells is cut: a box of the lattice that lies wholly within the
 //! region, with its nodes where the builder placed them. Its ends are pulled apart by a small strain. With F
@@ -8,12 +8,11 @@
 //! E = F <1/A> / ε
 //! ```
 //!
-//! This is compared with the modulus of the material's tensor in that direction. For springs of strength s(n)
-//! in all directions n the tensor is `C = 6 <s n n n n> + κ I I` (`springs.rs`, `equilibrium/law.rs`). Young's
-//! modulus along a is 1 / (aa : C⁻¹ : aa).
+//! Poisson's ratio is the mean strain of that half across the bar over -ε. Both are compared with those of the
+//! material's tensor in that direction (`Region::tension_along`).
 
 use palpate_tissue::cell::NO_CELL;
-use palpate_tissue::{Budget, Cell, Model, RegionId, Tissue, Topology, Vec3};
+use palpate_tissue::{Budget, Cell, Model, RegionId, Tension, Tissue, Topology, Vec3};
 use rayon::prelude::*;
 
 use super::report::BarReport;
@@ -46,15 +45,21 @@ fn bar(model: &Model, region: usize) -> BarReport {
         axis: 0,
         expected_kpa: of.material.young_pa / 1e3,
         measured_kpa: None,
+        expected_poisson: of.material.poisson,
+        measured_poisson: None,
     };
     let Some(place) = Grid::new(model, region).and_then(|grid| grid.largest_box()) else {
         return report;
     };
     report.cells = place.size;
     report.axis = place.axis;
-    report.expected_kpa = of.young_along(Vec3::ith(place.axis, 1.0)) / 1e3;
+    let expected = of.tension_along(Vec3::ith(place.axis, 1.0));
+    report.expected_kpa = expected.young_pa / 1e3;
+    report.expected_poisson = expected.poisson;
     let topology = Topology::new(cut_out(model, region, &place).into());
-    report.measured_kpa = pull(&topology, &place).map(|young| young / 1e3);
+    let measured = pull(&topology, &place, expected.poisson);
+    report.measured_kpa = measured.map(|m| m.young_pa / 1e3);
+    report.measured_poisson = measured.map(|m| m.poisson);
     report
 }
 
@@ -254,8 +259,9 @@ fn cut_out(model: &Model, region: usize, place: &Place) -> Model {
     }
 }
 
-/// Pulls a bar along its axis. Returns its modulus in Pa, or `None` when no equilibrium is found.
-fn pull(topology: &Topology, place: &Place) -> Option<f64> {
+/// Pulls a bar along its axis, from the strain that `thinning` as Poisson's ratio expects. Returns its response, or `None`
+/// when no equilibrium is found.
+fn pull(topology: &Topology, place: &Place, thinning: f64) -> Option<Tension> {
     let axis = place.axis;
     let layers = place.size[axis];
     let layer = |node: u32| {
@@ -265,7 +271,6 @@ fn pull(topology: &Topology, place: &Place) -> Option<f64> {
     let mut tissue = Tissue::at_rest(topology.clone());
     let nodes = 0..topology.node_count() as u32;
     let middle = nodes.clone().map(|n| topology.rest(n)).sum::<Vec3>() / nodes.len() as f64;
-    let thinning = topology.model().regions[0].material.poisson;
     // The initial guess is the bar without clamps, so that only their effect has to be solved for.
     let stretched = |node: u32| {
         let from = topology.rest(node) - middle;
@@ -292,16 +297,17 @@ fn pull(topology: &Topology, place: &Place) -> Option<f64> {
         .map(|n| -tissue.force_on(n)[axis])
         .sum();
     let (from, to) = (layers / 4, layers - layers / 4);
-    let strain = slope(
-        nodes
-            .clone()
-            .filter(|&n| (from..=to).contains(&layer(n)))
-            .map(|n| {
-                let u = tissue.shape().displacement[n as usize][axis];
-                (topology.rest(n)[axis], u)
-            }),
-    );
-    Some(force * mean_inverse_section(topology, &layer, from..to, axis) / strain)
+    let strain = [0, 1, 2].map(|a| {
+        let inside = nodes.clone().filter(|&n| (from..=to).contains(&layer(n)));
+        let displacement = &tissue.shape().displacement;
+        slope(inside.map(|n| (topology.rest(n)[a], displacement[n as usize][a])))
+    });
+    let along = strain[axis];
+    let across = 0.5 * (strain.iter().sum::<f64>() - along);
+    Some(Tension {
+        young_pa: force * mean_inverse_section(topology, &layer, from..to, axis) / along,
+        poisson: -across / along,
+    })
 }
 
 /// <1/A> over some layers of cells, each as thick as the mean of its nodes.
@@ -370,6 +376,8 @@ mod tests {
             );
             let measured = report.measured_kpa.unwrap();
             assert!((measured / 10.0 - 1.0).abs() < 0.02, "{report:?}");
+            let ratio = report.measured_poisson.unwrap();
+            assert!((ratio / poisson - 1.0).abs() < 0.05, "{report:?}");
         }
     }
 

@@ -6,23 +6,30 @@
 //! that its own cells face, so the gap gets its true width.
 //!
 //! The rays that measure the fill of the cells know the parts of every region and which parts touch. A face between
-//! parts that touch nowhere is opened, unless a third region fills the gap, or the scene fuses the two.
+//! parts that touch nowhere is opened where nothing lies between them, unless the scene fuses the two. Tissue in the gap
+//! holds both.
 
 use std::collections::BTreeMap;
 
 use palpate_tissue::cell::FACES;
-use palpate_tissue::{Model, RegionId};
+use palpate_tissue::{Model, RegionId, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::grid::Grid;
+use super::inside::PointQuery;
 use super::label::Labels;
-use super::lattice::{cell_at, face_neighbours};
+use super::lattice::{self, Lattice, cell_at, face_neighbours};
 use super::walls::{Share, Walls};
 
 /// A piece of the model of fewer cells than this that only opened faces would separate stays attached, because
 /// nothing holds it.
 const PIECE_MIN: usize = 4;
+
+/// Lines across a face along each of its sides, and points along each line over both cells. A gap of a quarter of a
+/// spacing has four of these.
+const LINES: usize = 4;
+const PROBES: usize = 32;
 
 /// Two regions between which a gap of the input stays open although no cell is empty there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -51,7 +58,7 @@ pub(super) struct Run {
 pub(super) struct Parts {
     /// Sorted by column and first cell.
     runs: Vec<Run>,
-    /// Pairs of parts that touch somewhere, sorted, the lower number first.
+    /// Pairs of parts that touch somewhere, both ways, sorted.
     touching: Vec<[u32; 2]>,
 }
 
@@ -82,8 +89,14 @@ impl Parts {
     }
 
     fn touch(&self, a: u32, b: u32) -> bool {
-        let pair = [a.min(b), a.max(b)];
-        a == b || self.touching.binary_search(&pair).is_ok()
+        a == b || self.touching.binary_search(&[a, b]).is_ok()
+    }
+
+    /// Whether a third part touches both.
+    fn have_a_neighbour_in_common(&self, a: u32, b: u32) -> bool {
+        let from = self.touching.partition_point(|pair| pair[0] < a);
+        let own = self.touching[from..].iter().take_while(|pair| pair[0] == a);
+        own.into_iter().any(|&[_, third]| self.touch(third, b))
     }
 }
 
@@ -93,13 +106,70 @@ pub(super) struct Joints<'a> {
     pub(super) labels: &'a Labels,
     pub(super) walls: &'a Walls,
     pub(super) parts: &'a Parts,
+    pub(super) query: &'a PointQuery,
     /// Pairs of regions that the scene fuses, the earlier one first.
     pub(super) fused: &'a [[usize; 2]],
 }
 
+/// The space between two parts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Between {
+    Nothing,
+    /// Other regions, which hold both parts.
+    Tissue,
+}
+
+/// What a line shows between two regions, from the regions of its points; `None` unless it passes from one to the
+/// other.
+fn line_shows(points: impl Iterator<Item = Option<usize>>, regions: [usize; 2]) -> Option<Between> {
+    // The last of the two regions, and the space since.
+    let mut last: Option<(usize, Option<Between>)> = None;
+    let mut found = None;
+    for point in points {
+        let own = point.filter(|r| regions.contains(r));
+        match (own, &mut last) {
+            (Some(region), Some((before, Some(between))))
+                if *before != region || regions[0] == regions[1] =>
+            {
+                if found != Some(Between::Tissue) {
+                    found = Some(*between);
+                }
+                last = Some((region, None));
+            }
+            (Some(region), _) => last = Some((region, None)),
+            (None, Some((_, between))) => {
+                let tissue = point.is_some() || *between == Some(Between::Tissue);
+                *between = Some(if tissue {
+                    Between::Tissue
+                } else {
+                    Between::Nothing
+                });
+            }
+            (None, None) => {}
+        }
+    }
+    found
+}
+
 impl Joints<'_> {
+    /// Numbers the lattice with its gaps open. Where the end of a gap would make a surface touch itself along an edge,
+    /// the faces there stay closed.
+    pub(super) fn number(&self) -> Lattice {
+        let mut open = self.open_faces();
+        loop {
+            let lattice = lattice::number(self.grid, self.labels, &open);
+            let mut touching = lattice.touching().into_iter();
+            let before = open.len();
+            open.retain(|_| !touching.next().unwrap_or(false));
+            if open.len() == before {
+                return lattice;
+            }
+            self.keep_attached(&mut open);
+        }
+    }
+
     /// The faces to open, as three times the lower cell plus the axis across; sorted.
-    pub(super) fn open_faces(&self) -> Vec<usize> {
+    fn open_faces(&self) -> Vec<usize> {
         let layers = (0..self.grid.cells[2]).into_par_iter();
         let mut open: Vec<usize> = layers.flat_map_iter(|k| self.between_regions(k)).collect();
         open.extend(self.within_regions());
@@ -173,21 +243,49 @@ impl Joints<'_> {
         if self.parts.touch(p, q) || self.fused.contains(&regions) {
             return false;
         }
-        // A layer of tissue between the two would be lost from the gap, and it holds both.
-        let (mut tissue, mut nothing) = (0.0, 0.0);
-        for shares in cells.map(|c| self.walls.shares_of(c)) {
-            let filled = |own: bool| {
-                let some = shares
-                    .iter()
-                    .filter(|s| (s.label == a || s.label == b) == own);
-                some.map(Share::filled).sum::<f64>()
-            };
-            tissue += filled(false);
-            if !shares.is_empty() {
-                nothing += 1.0 - filled(true) - filled(false);
+        match self.between(cells, regions) {
+            Some(between) => between == Between::Nothing,
+            // The face lies on one side of the gap. Where the same tissue holds both parts it may lie in the tissue.
+            None => !self.parts.have_a_neighbour_in_common(p, q) && !self.is_filled(cells, [a, b]),
+        }
+    }
+
+    /// The space between two cells, along lines across their face; `None` where no line shows both regions.
+    fn between(&self, [low, high]: [usize; 2], regions: [usize; 2]) -> Option<Between> {
+        let (from, to) = (cell_at(self.grid, low), cell_at(self.grid, high));
+        let axis = (0..3).find(|a| from[*a] != to[*a])?;
+        let mut found = None;
+        for line in 0..LINES * LINES {
+            let aside = [line % LINES, line / LINES].map(|i| (i as f64 + 0.5) / LINES as f64);
+            let mut at = Vec3::from(from.map(|i| i as f64));
+            at[(axis + 1) % 3] += aside[0];
+            at[(axis + 2) % 3] += aside[1];
+            let seen = (0..PROBES).map(|probe| {
+                let mut point = at;
+                point[axis] += 2.0 * (probe as f64 + 0.5) / PROBES as f64;
+                self.query
+                    .region_at(self.grid.origin + point * self.grid.spacing)
+            });
+            match line_shows(seen, regions) {
+                Some(Between::Tissue) => return Some(Between::Tissue),
+                Some(Between::Nothing) => found = Some(Between::Nothing),
+                None => {}
             }
         }
-        nothing >= tissue
+        found
+    }
+
+    /// Whether other regions fill more of two cells than is left empty.
+    fn is_filled(&self, cells: [usize; 2], labels: [u8; 2]) -> bool {
+        let (mut others, mut all, mut mixed) = (0.0, 0.0, 0.0);
+        for shares in cells.map(|c| self.walls.shares_of(c)) {
+            mixed += f64::from(u8::from(!shares.is_empty()));
+            for share in shares {
+                all += share.filled();
+                others += f64::from(u8::from(!labels.contains(&share.label))) * share.filled();
+            }
+        }
+        others > mixed - all
     }
 
     /// The part that a cell belongs to. A cell of a label that does not reach into it belongs to the part of most
@@ -283,7 +381,6 @@ mod tests {
     use super::super::{BuildReport, build};
     use super::*;
     use crate::Surface;
-    use palpate_tissue::Vec3;
 
     const SPACING: f64 = 2e-3;
 

@@ -2,7 +2,8 @@
 //!
 //! Surfaces overlap: bone reaches into skin, and flat ends of skin, muscle and bone lie in one plane. A piece
 //! of a surface is an interface of its region when that region really holds the material just behind it and not
-//! before it; pieces of inverted parts are turned outwards. The piece belongs to the *outer* interface when nothing lies before it, else to the *inner* one of its region.
+//! before it; pieces of inverted parts are turned outwards. The piece belongs to the *outer* interface when nothing
+//! lies before it, else to the *inner* one of its region.
 //! Pieces that a later region hides belong to neither.
 
 use palpate_tissue::Vec3;

@@ -298,7 +298,7 @@ fn kept_along(
     (kept, folded)
 }
 
-/// What the rays of one row find.
+/// Findings of the rays of one row.
 #[derive(Default)]
 struct Row {
     /// For each region the length of its rays, and the part that no later region covers.

@@ -1,12 +1,13 @@
 //! From labelled cells to nodes and hexahedra: repair of the labels, numbering, neighbours.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use palpate_tissue::cell::{EDGES, FACES, NO_CELL};
 use palpate_tissue::{Cell, RegionId, Vec3};
 use rayon::prelude::*;
 
 use super::bridge;
+use super::faces::OUTSIDE;
 use super::grid::Grid;
 use super::label::Labels;
 use super::walls::Walls;
@@ -441,6 +442,49 @@ pub(super) struct Lattice {
 }
 
 impl Lattice {
+    /// For each opened face whether the outer surface or that of a region touches itself along an edge of the face:
+    /// more than two faces meet there.
+    pub(super) fn touching(&self) -> Vec<bool> {
+        let sides = |&(cells, face): &([u32; 2], usize)| {
+            let sides = cells.into_iter().zip([face, face ^ 1]);
+            sides.map(|(cell, face)| edges_of(&self.cells[cell as usize], face))
+        };
+        // The surfaces and the faces that meet at each edge.
+        let edges = self.opened.iter().flat_map(sides).flatten();
+        let mut uses: BTreeMap<[u32; 2], Vec<u16>> = edges.map(|e| (e, Vec::new())).collect();
+        if uses.is_empty() {
+            return Vec::new();
+        }
+        let nodes: BTreeSet<u32> = uses.keys().flatten().copied().collect();
+        for cell in &self.cells {
+            if !cell.corners.iter().any(|n| nodes.contains(n)) {
+                continue;
+            }
+            for face in 0..6 {
+                let other = cell.neighbours[face];
+                let outer = other == NO_CELL;
+                if !outer && self.cells[other as usize].region == cell.region {
+                    continue;
+                }
+                for edge in edges_of(cell, face) {
+                    if let Some(uses) = uses.get_mut(&edge) {
+                        uses.push(cell.region.0);
+                        uses.extend(outer.then_some(OUTSIDE));
+                    }
+                }
+            }
+        }
+        let touches = |edge: [u32; 2]| {
+            let uses = &uses[&edge];
+            uses.iter()
+                .any(|s| uses.iter().filter(|t| *t == s).count() > 2)
+        };
+        let opened = self.opened.iter();
+        opened
+            .map(|face| sides(face).flatten().any(touches))
+            .collect()
+    }
+
     /// Number of pieces of the model.
     pub(super) fn pieces(&self) -> usize {
         let mut sets = Sets::new(self.cells.len());
@@ -547,6 +591,15 @@ pub(super) fn number(grid: &Grid, labels: &Labels, open: &[usize]) -> Lattice {
         cells,
         opened: opened.collect(),
     }
+}
+
+/// The edges of a face as pairs of nodes, the lower number first.
+fn edges_of(cell: &Cell, face: usize) -> [[u32; 2]; 4] {
+    let nodes = FACES[face].map(|c| cell.corners[c]);
+    std::array::from_fn(|e| {
+        let [a, b] = [nodes[e], nodes[(e + 1) % 4]];
+        [a.min(b), a.max(b)]
+    })
 }
 
 /// Marks a slot without a cell.

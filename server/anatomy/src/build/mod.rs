@@ -100,10 +100,7 @@ pub fn build(
     let mut walls = walls::Walls::default();
     let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &mut walls);
     input_check::folds(input, &folds, &mut warnings);
-    for (volume, voxels) in input_volumes.iter_mut().zip(&input.voxels_m3) {
-        // A label volume is authoritative for the regions that it alone describes.
-        *volume = voxels.unwrap_or(*volume);
-    }
+    prefer_voxels(&mut input_volumes, input);
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
     progress("casting rays", 0.1);
@@ -115,11 +112,11 @@ pub fn build(
         labels: &labels,
         walls: &walls,
         parts: &parts_of,
+        query: &query,
         fused: &input.scene.fuse,
     };
-    let open = joints.open_faces();
+    let mut lattice = joints.number();
     drop((walls, parts_of));
-    let mut lattice = lattice::number(&grid, &labels, &open);
     drop(labels);
     input_check::mending(&mending, &lattice, grid.cell_count(), &mut warnings);
     if lattice.cells.is_empty() {
@@ -200,6 +197,13 @@ pub fn build(
     };
     progress("done", 1.0);
     Ok((model, report))
+}
+
+/// A label volume is authoritative for the regions that it alone describes.
+fn prefer_voxels(volumes: &mut [f64], input: &SceneInput) {
+    for (volume, voxels) in volumes.iter_mut().zip(&input.voxels_m3) {
+        *volume = voxels.unwrap_or(*volume);
+    }
 }
 
 /// Figures of a report that follow from a finished model alone.

@@ -129,6 +129,12 @@ pub struct BarReport {
     pub expected_kpa: f64,
     /// Young's modulus of the bar, in kPa; none without a bar or without an equilibrium.
     pub measured_kpa: Option<f64>,
+    /// Poisson's ratio of the material in that direction: the mean over the directions across.
+    #[serde(default)]
+    pub expected_poisson: f64,
+    /// Poisson's ratio of the bar.
+    #[serde(default)]
+    pub measured_poisson: Option<f64>,
 }
 
 /// The mass-spring layers of one interface.

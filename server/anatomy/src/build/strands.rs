@@ -82,7 +82,7 @@ impl Strands {
     }
 
     /// The pairs of parts that touch along a ray, or at one height of two neighbouring rays: a gap of a quarter of
-    /// a cell always has a ray in it. Sorted, the lower number first.
+    /// a cell always has a ray in it. Both ways, sorted.
     pub(super) fn touching(&self) -> Vec<[u32; 2]> {
         let rays = self.start.len() - 1;
         let rows: Vec<Vec<[u32; 2]>> = (0..rays / self.width)
@@ -117,9 +117,8 @@ impl Strands {
 
     fn pair(&self, a: usize, b: usize, pairs: &mut Vec<[u32; 2]>) {
         let [p, q] = [self.parts[a], self.parts[b]];
-        let pair = [p.min(q), p.max(q)];
-        if p != q && pairs.last() != Some(&pair) {
-            pairs.push(pair);
+        if p != q && pairs.last() != Some(&[q, p]) {
+            pairs.extend([[p, q], [q, p]]);
         }
     }
 

@@ -226,13 +226,20 @@ impl Draft {
         let (mut bulk, mut per_volume) = ([0.0; LANES], [0.0; LANES]);
         let mut corner = [0.0; LANES];
         let mut skewed = false;
+        // Positions without a cell count as cubes.
+        let mut corners = [[places[0]; 8]; fit::CELLS];
+        for (position, _) in self.cells.iter().enumerate().filter(|c| c.1.is_some()) {
+            corners[position] = CORNER[position].map(|i| places[i]);
+        }
+        let shares = fit::shares(simd, &corners, LENGTH_FLOOR * spacing);
         for (position, cell) in self.cells.iter().enumerate() {
             let Some(cell) = *cell else { continue };
             let elastic = topology.elastic(cell);
-            let corners = CORNER[position].map(|i| places[i]);
+            let corners = corners[position];
             skewed |= self.curve.held && is_skewed(&corners);
             let energy = elastic.spring_pa * topology.volume(cell).max(0.0);
-            let stiffness = spring_stiffness(simd, &corners, elastic, energy, spacing);
+            let shares = shares.each_ref().map(|of| of[position]);
+            let stiffness = spring_stiffness(&corners, elastic, energy, spacing, shares);
             for (k, [a, b]) in stiffness.into_iter().zip(PAIRS) {
                 let (i, j) = (CORNER[position][a], CORNER[position][b]);
                 springs[DIRECTION_OF[i.abs_diff(j)]][i.min(j)] += k;
@@ -314,19 +321,19 @@ fn is_skewed(p: &[Vec3; 8]) -> bool {
     })
 }
 
-/// Stiffness of the springs of a cell in N/m; see `springs.rs` for the shares. `energy` is modulus times volume.
+/// Stiffness of the springs of a cell with these shares in N/m; see `springs.rs`. `energy` is modulus times volume.
 #[inline(always)]
-fn spring_stiffness<S: Simd>(
-    simd: S,
+fn spring_stiffness(
     corners: &[Vec3; 8],
     elastic: &Elastic,
     energy: f64,
     spacing: f64,
+    shares: [f64; PAIRS.len()],
 ) -> [f64; PAIRS.len()] {
     let floor = LENGTH_FLOOR * spacing;
     let ways = PAIRS.map(|[a, b]| corners[b] - corners[a]);
     let squares = ways.map(|way| way.norm_squared().max(floor * floor));
-    let mut stiffness = fit::shares(simd, corners, floor);
+    let mut stiffness = shares;
     for (k, square) in stiffness.iter_mut().zip(squares) {
         *k *= energy / square;
     }

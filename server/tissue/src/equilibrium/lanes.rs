@@ -1,4 +1,4 @@
-//! Vectors of f32 in the width of the machine, with arithmetic operators.
+//! Vectors of f32 and f64 in the width of the machine, with arithmetic operators.
 //!
 //! Every operation is one IEEE operation per lane, without fused multiply-add and without sums across lanes. So the
 //! vector width changes no bit of a result.
@@ -144,5 +144,96 @@ impl<S: Simd> Div for V<S> {
     #[inline(always)]
     fn div(self, other: Self) -> Self {
         self.with(self.simd.div_f32s(self.lanes, other.lanes))
+    }
+}
+
+/// A vector of f64.
+#[derive(Clone, Copy)]
+pub(crate) struct Wide<S: Simd> {
+    simd: S,
+    lanes: S::f64s,
+}
+
+impl<S: Simd> Wide<S> {
+    /// Numbers of a vector.
+    pub(crate) const WIDTH: usize = S::F64_LANES;
+
+    #[inline(always)]
+    pub(crate) fn all(simd: S, value: f64) -> Self {
+        let lanes = simd.splat_f64s(value);
+        Self { simd, lanes }
+    }
+
+    /// The numbers from `at` on.
+    #[inline(always)]
+    pub(crate) fn load(simd: S, from: &[f64], at: usize) -> Self {
+        let lanes = S::as_simd_f64s(&from[at..at + Self::WIDTH]).0[0];
+        Self { simd, lanes }
+    }
+
+    /// Puts them at `at`.
+    #[inline(always)]
+    pub(crate) fn store(self, to: &mut [f64], at: usize) {
+        S::as_mut_simd_f64s(&mut to[at..at + Self::WIDTH]).0[0] = self.lanes;
+    }
+
+    #[inline(always)]
+    pub(crate) fn sqrt(self) -> Self {
+        self.with(self.simd.sqrt_f64s(self.lanes))
+    }
+
+    /// `below` where `self` is less than `bound`, `other` elsewhere.
+    #[inline(always)]
+    pub(crate) fn where_below(self, bound: Self, below: Self, other: Self) -> Self {
+        let is_below = self.simd.less_than_f64s(self.lanes, bound.lanes);
+        self.with(self.simd.select_f64s(is_below, below.lanes, other.lanes))
+    }
+
+    /// Whether any number is above zero.
+    #[inline(always)]
+    pub(crate) fn any_above_zero(self) -> bool {
+        let zero = self.simd.splat_f64s(0.0);
+        let above = self.simd.less_than_f64s(zero, self.lanes);
+        self.simd.first_true_m64s(above) < Self::WIDTH
+    }
+
+    #[inline(always)]
+    fn with(self, lanes: S::f64s) -> Self {
+        Self {
+            simd: self.simd,
+            lanes,
+        }
+    }
+}
+
+impl<S: Simd> Add for Wide<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.with(self.simd.add_f64s(self.lanes, other.lanes))
+    }
+}
+
+impl<S: Simd> Sub for Wide<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self.with(self.simd.sub_f64s(self.lanes, other.lanes))
+    }
+}
+
+impl<S: Simd> Mul for Wide<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self.with(self.simd.mul_f64s(self.lanes, other.lanes))
+    }
+}
+
+impl<S: Simd> Div for Wide<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        self.with(self.simd.div_f64s(self.lanes, other.lanes))
     }
 }

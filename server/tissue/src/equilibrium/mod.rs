@@ -92,10 +92,11 @@ mod work_limit;
 
 pub use budget::{Budget, StepReport};
 pub use cut_preparer::{CutPreparer, PreparedCut, Retired, TopologyCut};
-pub(crate) use lanes::add_scaled;
+pub(crate) use lanes::Wide;
 pub(crate) use law::Elastic;
 pub(crate) use mechanism::Disabled;
 pub use mechanism::Mechanism;
+pub use modulus::Tension;
 pub(crate) use quad::{SLACK, laid_out, overlaid, reserve, trim};
 pub use reference_state::Sag;
 pub(crate) use solver::Solver;

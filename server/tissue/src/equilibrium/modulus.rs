@@ -1,7 +1,8 @@
-//! Young's modulus of a material in any direction.
+//! Young's modulus and Poisson's ratio of a material in any direction.
 //!
 //! For springs of strength s(n) in all directions n the tensor is `C = 6 <s n n n n> + κ I I` (`springs.rs`, `law.rs`).
-//! Young's modulus along a is 1 / (aa : C⁻¹ : aa).
+//! With S = C⁻¹ : aa, the strain per stress along a, Young's modulus is 1 / (aa : S), and Poisson's ratio, as the mean over
+//! all directions across a, is (1 - tr S / (aa : S)) / 2.
 
 use nalgebra::{Matrix6, Vector6};
 
@@ -13,9 +14,18 @@ use crate::{Region, Vec3};
 /// points in each. The sum is exact to five digits.
 const PIECES: usize = 8;
 
+/// Response of a material to tension along a direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tension {
+    /// Young's modulus in Pa.
+    pub young_pa: f64,
+    /// Poisson's ratio: the mean over the directions across.
+    pub poisson: f64,
+}
+
 impl Region {
-    /// Young's modulus in Pa of its material in a direction.
-    pub fn young_along(&self, direction: Vec3) -> f64 {
+    /// Response of its material to tension along a direction.
+    pub fn tension_along(&self, direction: Vec3) -> Tension {
         let elastic = Elastic::asked(self);
         let mut stiffness = Matrix6::zeros();
         let mut weights = 0.0;
@@ -41,10 +51,17 @@ impl Region {
         let unit = Vector6::new(1.0, 1.0, 1.0, 0.0, 0.0, 0.0);
         stiffness += unit * unit.transpose() * elastic.bulk_pa;
         let pulled = dyad(&direction);
-        stiffness
-            .try_inverse()
-            .map_or(self.material.young_pa, |compliance| {
-                1.0 / pulled.dot(&(compliance * pulled))
-            })
+        let of_material = Tension {
+            young_pa: self.material.young_pa,
+            poisson: self.material.poisson,
+        };
+        stiffness.try_inverse().map_or(of_material, |compliance| {
+            let strain = compliance * pulled;
+            let along = pulled.dot(&strain);
+            Tension {
+                young_pa: 1.0 / along,
+                poisson: 0.5 * (1.0 - unit.dot(&strain) / along),
+            }
+        })
     }
 }
