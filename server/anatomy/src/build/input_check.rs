@@ -217,35 +217,6 @@ pub(super) fn mending(
     }
 }
 
-/// Warns of surfaces that overlap themselves or are inside out in part.
-pub(super) fn folds(input: &SceneInput, folds: &[(usize, Folds)], warnings: &mut Vec<String>) {
-    for (r, found) in folds {
-        let name = &input.scene.regions[*r].name;
-        let size = |fold: &Fold| {
-            let percent = 100.0 * fold.volume / found.volume;
-            let place = fold.bounds.map_or_else(String::new, |b| {
-                format!(" from {} to {}", in_mm(&b.min), in_mm(&b.max))
-            });
-            format!("{:.0} mm³ ({percent:.1} %){place}", fold.volume * 1e9)
-        };
-        let [repeated, inverted] = found.reported();
-        if let Some(fold) = repeated {
-            warnings.push(format!(
-                "the surface of region {name:?} overlaps itself: {} lie inside it more than once; the model \
-                 has the union; unite the parts in a mesh tool to be sure of the shape",
-                size(&fold)
-            ));
-        }
-        if let Some(fold) = inverted {
-            warnings.push(format!(
-                "the surface of region {name:?} is inside out in part: triangles around {} face inwards; the \
-                 model fills this part too; is the surface twisted? Repair it and export it again",
-                size(&fold)
-            ));
-        }
-    }
-}
-
 /// Warns of regions that differ from their input.
 pub(super) fn regions(regions: &[RegionReport], warnings: &mut Vec<String>) {
     for region in regions {
