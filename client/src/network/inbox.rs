@@ -66,9 +66,31 @@ impl Inbox {
 
 #[cfg(test)]
 mod tests {
-    use palpate_protocol::ToolTrack;
+    use palpate_protocol::operation::{Operation, OperationKind};
+    use palpate_protocol::{OperationId, ParticipantId, ServerTime, Span, ToolTrack, TopologyHash};
 
     use super::*;
+    use crate::realtime::{monotonic_now, park_until};
+
+    #[cfg(not(windows))]
+    #[test]
+    fn operation_wakes_the_reader_and_motion_does_not() {
+        let inbox = Inbox::default();
+        inbox.read_here();
+        inbox.push(ClientEvent::Motion(ToolTrack::default()));
+        assert!(!park_until(monotonic_now() + Span::from_millis(5)));
+        let participant = ParticipantId(1);
+        inbox.push(ClientEvent::Operation(Operation {
+            id: OperationId(0),
+            at: ServerTime::ZERO,
+            author: participant,
+            topology_version_before: 0,
+            topology_version_after: 0,
+            hash_after: TopologyHash(0),
+            kind: OperationKind::Disconnected { participant },
+        }));
+        assert!(park_until(monotonic_now() + Span::from_millis(10_000)));
+    }
 
     #[test]
     fn motion_is_dropped_before_operations() {

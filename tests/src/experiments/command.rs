@@ -53,7 +53,7 @@ An experiment file (its paths are relative to the file):
                 measured, expected}], quality [{model, refinement, cells, inverted, worst, p5, mean, shortest_spring}]}
   on tissue     {experiment, spots | cases | materials | paths [{..., deviation {largest, n, rms, worst}}]}: largest force
                 (N) or torque (N m), rms and worst deviation from the converged solution as shares of it
-Over several networks: {networks [the figures of each], ok, missed}.
+Over several networks: {networks [the figures of each, or profile and error], ok, missed}.
 Lengths end in _mm or _um, times in _ms, angles in _deg; shares are 0 to 1 unless they end in _percent.
 
 Rendered forces come from the client's haptic path: contact models solved 250 times per second with 1 ms of work each,

@@ -171,9 +171,14 @@ impl Experiment {
         let mut outcomes = Vec::new();
         for (k, inputs) in networks.into_iter().enumerate() {
             let name = inputs.profile.as_ref().map(|p| p.name.clone());
+            let name = name.unwrap_or_default();
             let mut within = |what: &str, share: f64| progress(what, (k as f64 + share) / all);
-            let outcome = self.run_over(inputs, dir, &mut within)?;
-            outcomes.push((name.unwrap_or_default(), outcome));
+            let outcome = match self.run_over(inputs, dir, &mut within) {
+                // The results of the other networks are kept.
+                Err(why) if all > 1.0 => Outcome::failed_over(&name, &why),
+                result => result?,
+            };
+            outcomes.push((name, outcome));
         }
         Ok(Outcome::of_networks(outcomes))
     }

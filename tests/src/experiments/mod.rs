@@ -89,6 +89,16 @@ impl Outcome {
         all
     }
 
+    /// An experiment that failed over one of several networks.
+    fn failed_over(network: &str, why: &str) -> Self {
+        let caption = format!("{network}: {why}");
+        Self {
+            figures: json!({ "profile": network, "error": why, "missed": [caption] }),
+            caption,
+            ..Self::default()
+        }
+    }
+
     /// Writes charts, pictures, tables and the figures as `name.json` into `dir`, which is created if necessary.
     pub fn write(&self, dir: &Path, name: &str) -> Result<(), String> {
         make_folder(dir)?;
@@ -132,4 +142,24 @@ fn missed_by<'a>(rows: impl IntoIterator<Item = &'a Value>) -> Vec<String> {
     let missed = rows.into_iter().filter_map(|row| row["missed"].as_array());
     let sentence = |what: &Value| what.as_str().map(str::to_owned);
     missed.flatten().filter_map(sentence).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn failure_over_one_network_keeps_the_results_of_the_others() {
+        let good = Outcome {
+            figures: json!({ "rms": 1.0 }),
+            tables: vec![("press".to_owned(), Table::new("t"))],
+            ..Outcome::default()
+        };
+        let failed = Outcome::failed_over("b", "nothing arrives");
+        let all = Outcome::of_networks(vec![("a/1".to_owned(), good), ("b".to_owned(), failed)]);
+        assert_eq!(all.figures["networks"][0]["rms"], 1.0);
+        assert_eq!(all.figures["ok"], false);
+        assert_eq!(all.missed(), ["b: nothing arrives"]);
+        assert_eq!(all.tables[0].0, "press-a-1");
+    }
 }

@@ -115,38 +115,6 @@ impl<S: Simd> V<S> {
     }
 }
 
-impl<S: Simd> Add for V<S> {
-    type Output = Self;
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        self.with(self.simd.add_f32s(self.lanes, other.lanes))
-    }
-}
-
-impl<S: Simd> Sub for V<S> {
-    type Output = Self;
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        self.with(self.simd.sub_f32s(self.lanes, other.lanes))
-    }
-}
-
-impl<S: Simd> Mul for V<S> {
-    type Output = Self;
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        self.with(self.simd.mul_f32s(self.lanes, other.lanes))
-    }
-}
-
-impl<S: Simd> Div for V<S> {
-    type Output = Self;
-    #[inline(always)]
-    fn div(self, other: Self) -> Self {
-        self.with(self.simd.div_f32s(self.lanes, other.lanes))
-    }
-}
-
 /// A vector of f64.
 #[derive(Clone, Copy)]
 pub(crate) struct Wide<S: Simd> {
@@ -206,34 +174,17 @@ impl<S: Simd> Wide<S> {
     }
 }
 
-impl<S: Simd> Add for Wide<S> {
-    type Output = Self;
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        self.with(self.simd.add_f64s(self.lanes, other.lanes))
-    }
+macro_rules! operators {
+    ($vector:ident: $($operator:ident $method:ident $of_lanes:ident),*) => {
+        $(impl<S: Simd> $operator for $vector<S> {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                self.with(self.simd.$of_lanes(self.lanes, other.lanes))
+            }
+        })*
+    };
 }
 
-impl<S: Simd> Sub for Wide<S> {
-    type Output = Self;
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        self.with(self.simd.sub_f64s(self.lanes, other.lanes))
-    }
-}
-
-impl<S: Simd> Mul for Wide<S> {
-    type Output = Self;
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        self.with(self.simd.mul_f64s(self.lanes, other.lanes))
-    }
-}
-
-impl<S: Simd> Div for Wide<S> {
-    type Output = Self;
-    #[inline(always)]
-    fn div(self, other: Self) -> Self {
-        self.with(self.simd.div_f64s(self.lanes, other.lanes))
-    }
-}
+operators!(V: Add add add_f32s, Sub sub sub_f32s, Mul mul mul_f32s, Div div div_f32s);
+operators!(Wide: Add add add_f64s, Sub sub sub_f64s, Mul mul mul_f64s, Div div div_f64s);
