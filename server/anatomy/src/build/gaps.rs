@@ -413,13 +413,13 @@ mod tests {
 
     /// Nodes that cells of both of two pieces use, where `of` gives the piece of a cell.
     fn shared(model: &Model, of: impl Fn(usize) -> usize) -> usize {
-        let mut users = vec![0_u8; model.nodes.len()];
+        let mut users = vec![[false; 2]; model.nodes.len()];
         for (c, cell) in model.cells.iter().enumerate() {
             for &node in &cell.corners {
-                users[node as usize] |= 1 << of(c);
+                users[node as usize][of(c)] = true;
             }
         }
-        users.iter().filter(|u| **u == 3).count()
+        users.iter().filter(|u| u[0] && u[1]).count()
     }
 
     fn assert_apart(

@@ -6,7 +6,8 @@ use rayon::prelude::*;
 
 use super::folds::{Fold, Folds};
 use super::inside::PointQuery;
-use super::lattice::{Lattice, Mending};
+use super::lattice::Lattice;
+use super::mending::Mending;
 use super::{BUILD_NODES_MAX, GRID_CELLS_MAX, RegionReport};
 use crate::scene::SceneInput;
 use crate::surface::in_mm;

@@ -19,10 +19,11 @@ use palpate_tissue::Vec3;
 use palpate_tissue::cell::NO_CELL;
 use rayon::prelude::*;
 
+use super::constraint::Constraint;
 use super::interfaces::Interfaces;
 use super::lattice::Lattice;
 use super::quality::{CORNER_FLOOR, SPRING_FLOOR, passes};
-use super::snap::{Constraint, project};
+use super::snap::project;
 
 /// Cells with a smaller determinant, in Δd³, or a shorter spring, in Δd, are visited.
 const GOOD: (f64, f64) = (0.03, 0.33);
