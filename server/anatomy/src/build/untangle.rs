@@ -38,6 +38,8 @@ const STAGES: [(usize, f64); 3] = [(10, 0.1), (12, 0.01), (16, LAST_HOLD)];
 const LAST_HOLD: f64 = 0.001;
 /// Least weight of the distance of these nodes.
 const HOLD_AT_GAP: f64 = 1.0;
+/// Part of a gap that each of its two sides may take up for the volumes of its regions.
+const GAP_PART: f64 = 0.25;
 /// Weight of the distance to the current position (ε above).
 const INERTIA: f64 = 0.02;
 /// Newton steps per visit.
@@ -111,7 +113,7 @@ impl<'a> Untangler<'a> {
     }
 
     /// Moves each node by the first of the given fractions of its step that keeps the cells around it above the
-    /// floors, or not at all.
+    /// floors and a gap beside it open, or not at all.
     pub(super) fn move_while_it_holds(
         &self,
         moves: &[(u32, Vec3)],
@@ -125,9 +127,9 @@ impl<'a> Untangler<'a> {
                 .filter_map(|(node, by)| {
                     let at = positions[*node as usize];
                     let tried = parts.iter().map(|part| at + by * *part);
-                    let to = tried
-                        .into_iter()
-                        .find(|to| self.holds(*node, to, positions))?;
+                    let to = tried.into_iter().find(|to| {
+                        self.holds(*node, to, positions) && self.keeps_gap_open(*node, to)
+                    })?;
                     Some((*node, to))
                 })
                 .collect();
@@ -179,6 +181,20 @@ impl<'a> Untangler<'a> {
     fn cells_at(&self, nodes: &[u32]) -> Vec<u32> {
         let cells = nodes.iter().flat_map(|&n| self.around[n as usize]);
         sorted(cells.filter(|&c| c != NO_CELL))
+    }
+
+    /// Whether a node beside a gap that moves to `to` leaves most of the gap to the other side.
+    fn keeps_gap_open(&self, node: u32, to: &Vec3) -> bool {
+        let constraint = self.constraints[node as usize];
+        if !(constraint.outer && constraint.beside_gap()) {
+            return true;
+        }
+        let facing = constraint.facing();
+        let off = |way: Vec3| {
+            let nearest = self.interfaces.outer.nearest_facing(to, self.spacing, &way);
+            nearest.map_or(f64::INFINITY, |p| (p - to).norm())
+        };
+        off(facing) / GAP_PART <= off(-facing) / (1.0 - GAP_PART)
     }
 
     /// Visits the nodes of `bad` cells once; returns the cells around them that fail afterwards.

@@ -2,7 +2,7 @@
 //!
 //! Faces between nodes that lie exactly on a curved surface run inside it: a bone of radius 7 mm loses 6 % at a
 //! spacing of 4 mm. So the nodes of each interface move along its normal, mostly by well below a tenth of the
-//! spacing. A node moves less if its cells would fail the floors.
+//! spacing. A node moves less if its cells would fail the floors or a gap would close.
 
 use std::collections::BTreeMap;
 
@@ -159,11 +159,7 @@ impl Slots {
             .nodes
             .iter()
             .zip(self.normals.iter().zip(&self.shifted))
-            .filter(|(node, _)| {
-                // A node beside a gap stays on its surface, so that the gap keeps its width.
-                let constraint = untangler.constraint(**node);
-                constraint.single() && !constraint.beside_gap()
-            })
+            .filter(|(node, _)| untangler.constraint(**node).single())
             .filter_map(|(node, (normal, shifted))| {
                 let size = normal.norm();
                 let direction = normal.try_normalize(0.0)?;
