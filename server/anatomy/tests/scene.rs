@@ -96,7 +96,7 @@ fn scene_text_round_trip() {
 }
 
 /// Text to replace in [`THIGH`], its replacement, and words of the expected message.
-const MISTAKES: [(&str, &str, &[&str]); 34] = [
+const MISTAKES: [(&str, &str, &[&str]); 39] = [
     (
         "young_kpa = 10.0",
         "poisson = 0.5",

@@ -10,6 +10,7 @@
 //! holds both.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use palpate_tissue::cell::FACES;
 use palpate_tissue::{Model, RegionId, Vec3};
@@ -40,6 +41,17 @@ pub struct GapReport {
     pub faces: usize,
     /// Area of one side in mm².
     pub area_mm2: f64,
+}
+
+impl fmt::Display for GapReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [a, b] = &self.between;
+        let (faces, area) = (self.faces, self.area_mm2);
+        write!(
+            f,
+            "{a} and {b} stay apart at {faces} cell faces, {area:.1} mm²"
+        )
+    }
 }
 
 /// Consecutive cells of a column along z that one part of a region fills alone.
@@ -389,18 +401,22 @@ mod tests {
         surface
     }
 
-    /// Two balls, or two boxes, so many spacings apart, and the direction from one to the other.
-    fn pairs(gap: f64) -> Vec<([Surface; 2], Vec3)> {
+    /// Two balls so many spacings apart, and the direction from one to the other.
+    fn balls([one, other]: [f64; 2], gap: f64) -> [([Surface; 2], Vec3); 4] {
         let ways = [
             Vec3::new(0.0, 0.0, 1.0),
             Vec3::new(1.0, 0.0, 0.0),
             Vec3::new(0.5, 0.7, 0.6).normalize(),
             Vec3::new(-0.2, 0.9, 0.1).normalize(),
         ];
-        let balls = ways.map(|way| {
-            let apart = way * (0.032 + gap * SPACING);
-            ([ball(0.018), moved(ball(0.014), apart)], way)
-        });
+        ways.map(|way| {
+            let apart = way * (one + other + gap * SPACING);
+            ([ball(one), moved(ball(other), apart)], way)
+        })
+    }
+
+    /// Two balls, or two boxes, so many spacings apart, and the direction from one to the other.
+    fn pairs(gap: f64) -> Vec<([Surface; 2], Vec3)> {
         let size = Vec3::new(0.0214, 0.0186, 0.0203);
         let boxes = [0, 1, 2].map(|axis| {
             let mut low = Vec3::repeat(1.3e-3);
@@ -408,6 +424,7 @@ mod tests {
             let boxes = [cuboid(Vec3::zeros(), size), cuboid(low, low + size)];
             (boxes, Vec3::ith(axis, 1.0))
         });
+        let balls = balls([0.018, 0.014], gap);
         balls.into_iter().chain(boxes).collect()
     }
 
@@ -471,6 +488,31 @@ mod tests {
                 let [a, b] = &pair.0;
                 let (model, report) = built(SPACING * 1e3, &[("a", both(a.clone(), b))]);
                 assert_apart(&pair, &model, &report, gap);
+            }
+        }
+    }
+
+    #[test]
+    fn small_part_beside_a_gap_keeps_its_volume() {
+        for gap in [0.3, 0.6] {
+            for pair in balls([0.018, 0.006], gap) {
+                let [a, b] = pair.0.clone();
+                let (model, report) = built(SPACING * 1e3, &[("a", a), ("b", b)]);
+                assert_apart(&pair, &model, &report, gap);
+                for region in &report.regions {
+                    let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
+                    assert!(error.abs() < 1e-3, "{gap}: {region:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn gap_below_a_quarter_of_the_spacing_leaves_good_cells() {
+        for gap in [0.1, 0.2] {
+            for ([a, b], _) in pairs(gap) {
+                let (model, report) = built(SPACING * 1e3, &[("a", a), ("b", b)]);
+                assert_sound(&model, &report);
             }
         }
     }
