@@ -1,6 +1,6 @@
 //! The interfaces that each node between regions lies on.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 
 use palpate_tissue::Vec3;
 use palpate_tissue::cell::{FACES, NO_CELL};
@@ -80,7 +80,7 @@ impl Constraint {
 
     /// Adds the outward direction of a face.
     fn face(&mut self, face: usize) {
-        self.facing[face / 2] += outwards(face);
+        self.facing[face / 2] += if face % 2 == 1 { 1 } else { -1 };
     }
 
     /// The direction in which a node beside a gap faces; zero elsewhere.
@@ -135,9 +135,10 @@ fn mark_gaps(lattice: &Lattice, constraints: &mut [Constraint]) {
             }
         }
     }
-    // The nodes around a gap and the direction across it.
-    let opened = (0..).zip(constraints.iter().map(|c| c.facing));
-    let opened: BTreeMap<u32, [i8; 3]> = opened.filter(|(_, way)| *way != [0; 3]).collect();
+    let opened = (0..)
+        .zip(constraints.iter())
+        .filter(|(_, c)| c.beside_gap());
+    let opened: BTreeSet<u32> = opened.map(|(node, _)| node).collect();
     if opened.is_empty() {
         return;
     }
@@ -149,25 +150,14 @@ fn mark_gaps(lattice: &Lattice, constraints: &mut [Constraint]) {
     };
     let mut around = opened.clone();
     for _ in 0..RINGS {
-        // The rear of a thin part is not beside the gap.
-        let next = outer().filter_map(|(face, nodes)| {
-            let ways = nodes.iter().filter_map(|n| around.get(n));
-            let mut ways = ways.filter(|way| outwards(face) * way[face / 2] >= 0);
-            ways.next().map(|way| nodes.map(|n| (n, *way)))
-        });
-        for (node, way) in next.flatten().collect::<Vec<_>>() {
-            around.entry(node).or_insert(way);
-        }
+        let next = outer().filter(|(_, nodes)| nodes.iter().any(|n| around.contains(n)));
+        let next: Vec<u32> = next.flat_map(|(_, nodes)| nodes).collect();
+        around.extend(next);
     }
-    around.retain(|node, _| !opened.contains_key(node));
+    around.retain(|node| !opened.contains(node));
     for (face, nodes) in outer() {
-        for node in nodes.into_iter().filter(|n| around.contains_key(n)) {
+        for node in nodes.into_iter().filter(|n| around.contains(n)) {
             constraints[node as usize].face(face);
         }
     }
-}
-
-/// The sign of a face's direction along its axis.
-fn outwards(face: usize) -> i8 {
-    if face % 2 == 1 { 1 } else { -1 }
 }

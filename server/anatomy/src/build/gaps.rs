@@ -495,7 +495,7 @@ mod tests {
     #[test]
     fn small_part_beside_a_gap_keeps_its_volume() {
         for gap in [0.3, 0.6] {
-            for pair in balls([0.018, 0.006], gap) {
+            for pair in balls([0.018, 0.004], gap) {
                 let [a, b] = pair.0.clone();
                 let (model, report) = built(SPACING * 1e3, &[("a", a), ("b", b)]);
                 assert_apart(&pair, &model, &report, gap);
@@ -505,6 +505,22 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn piece_of_few_cells_stays_attached() {
+        let cells_of_last = balls([0.018, 0.0018], 0.3).map(|([a, b], _)| {
+            let (model, report) = built(SPACING * 1e3, &[("a", a), ("b", b)]);
+            let cells = model.cells.iter().filter(|c| c.region == RegionId(1));
+            let apart = report
+                .warnings
+                .iter()
+                .any(|w| w.contains("separate pieces"));
+            let cells = cells.count();
+            assert_eq!(cells >= PIECE_MIN, apart, "{cells} cells");
+            cells
+        });
+        assert!(cells_of_last.iter().any(|n| (1..PIECE_MIN).contains(n)));
     }
 
     #[test]

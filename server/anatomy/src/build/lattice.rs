@@ -27,8 +27,8 @@ pub(super) struct Lattice {
 }
 
 impl Lattice {
-    /// For each opened face whether the outer surface or that of a region touches itself along an edge of the face:
-    /// more than two faces meet there.
+    /// For each opened face whether it must stay closed: the outer surface or that of a region touches itself along an
+    /// edge of the face, where more than two faces meet, or nothing opens.
     pub(super) fn touching(&self) -> Vec<bool> {
         let sides = |&(cells, face): &([u32; 2], usize)| {
             let sides = cells.into_iter().zip([face, face ^ 1]);
@@ -66,8 +66,16 @@ impl Lattice {
         };
         let opened = self.opened.iter();
         opened
-            .map(|face| sides(face).flatten().any(touches))
+            .map(|face| sides(face).flatten().any(touches) || self.is_slit(face))
             .collect()
+    }
+
+    /// Whether the two cells at an opened face still share all of its nodes, so that nothing is open.
+    fn is_slit(&self, &([cell, other], face): &([u32; 2], usize)) -> bool {
+        let corners =
+            |cell: u32, face: usize| FACES[face].map(|c| self.cells[cell as usize].corners[c]);
+        let beyond = corners(other, face ^ 1);
+        corners(cell, face).iter().all(|node| beyond.contains(node))
     }
 
     /// Number of pieces of the model.
