@@ -509,18 +509,19 @@ mod tests {
 
     #[test]
     fn piece_of_few_cells_stays_attached() {
-        let cells_of_last = balls([0.018, 0.0018], 0.3).map(|([a, b], _)| {
+        let joined = balls([0.018, 0.0018], 0.3).map(|pair| {
+            let [a, b] = pair.0.clone();
             let (model, report) = built(SPACING * 1e3, &[("a", a), ("b", b)]);
             let cells = model.cells.iter().filter(|c| c.region == RegionId(1));
-            let apart = report
-                .warnings
-                .iter()
-                .any(|w| w.contains("separate pieces"));
             let cells = cells.count();
-            assert_eq!(cells >= PIECE_MIN, apart, "{cells} cells");
-            cells
+            let joined = shared(&model, |c| model.cells[c].region.index()) > 0;
+            assert_eq!((1..PIECE_MIN).contains(&cells), joined, "{cells} cells");
+            if cells >= PIECE_MIN {
+                assert_apart(&pair, &model, &report, 0.3);
+            }
+            joined
         });
-        assert!(cells_of_last.iter().any(|n| (1..PIECE_MIN).contains(n)));
+        assert!(joined.contains(&true) && joined.contains(&false));
     }
 
     #[test]
