@@ -36,10 +36,10 @@ pub mod scene;
 pub mod surface;
 
 pub use build::{
-    BUILD_NODES_MAX, BarReport, BuildReport, CORNER_FLOOR, DISTANCE_REACH, GRID_CELLS_MAX, Layer,
-    LayerReport, Layers, NEIGHBOURS_MAX, Progress, QualityReport, RegionReport, SPRING_FLOOR,
-    SpacingReport, SpringCounts, SurfaceReport, THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts,
-    build, region_surface,
+    BUILD_NODES_MAX, BarReport, BuildReport, CORNER_FLOOR, DISTANCE_REACH, GRID_CELLS_MAX,
+    GapReport, Layer, LayerReport, Layers, NEIGHBOURS_MAX, Progress, QualityReport, RegionReport,
+    SPRING_FLOOR, SpacingReport, SpringCounts, SurfaceReport, THIN_PARTS_MAX, ThinKind, ThinPart,
+    ThinParts, build, region_surface,
 };
 pub use error::InputError;
 pub use labels::LabelVolume;

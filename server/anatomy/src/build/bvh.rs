@@ -113,6 +113,23 @@ impl Bvh {
 
     /// The point nearest to `point` that is not farther than `reach` (m).
     pub(super) fn nearest(&self, point: &Vec3, reach: f64) -> Option<Vec3> {
+        self.nearest_of(point, reach, |_| true)
+    }
+
+    /// The same on the triangles that face along `way`.
+    pub(super) fn nearest_facing(&self, point: &Vec3, reach: f64, way: &Vec3) -> Option<Vec3> {
+        self.nearest_of(point, reach, |[a, b, c]| {
+            (b - a).cross(&(c - a)).dot(way) > 0.0
+        })
+    }
+
+    /// The same on the triangles that `accept` takes.
+    fn nearest_of(
+        &self,
+        point: &Vec3,
+        reach: f64,
+        accept: impl Fn(&[Vec3; 3]) -> bool,
+    ) -> Option<Vec3> {
         if self.nodes.is_empty() {
             return None;
         }
@@ -136,7 +153,11 @@ impl Bvh {
                     if box_of(&triangle.corners).distance_squared(&at) > best {
                         continue;
                     }
-                    let candidate = nearest_on(&at, &[local(a), local(b), local(c)]);
+                    let corners = [local(a), local(b), local(c)];
+                    if !accept(&corners) {
+                        continue;
+                    }
+                    let candidate = nearest_on(&at, &corners);
                     let distance = (candidate - at).norm_squared();
                     if distance < best || (distance == best && found.is_none()) {
                         best = distance;

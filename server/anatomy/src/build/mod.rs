@@ -3,7 +3,7 @@
 //! 1. A grid of cubes of side Δd is laid around the outermost surface.
 //! 2. Rays decide which region fills each cell ([`label`]). Thin layers and necks get the cells that they need
 //!    to stay connected ([`walls`], [`bridge`]). Doubtful cells are flipped until the surface of every region is a
-//!    manifold ([`lattice`]).
+//!    manifold ([`mending`]). Faces in gaps that no cell is empty for are opened ([`gaps`]).
 //! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
 //!    nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
 //! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and regions regain the volume that
@@ -18,8 +18,10 @@ mod bar;
 mod bridge;
 mod bvh;
 mod compare;
+mod constraint;
 mod faces;
 mod folds;
+mod gaps;
 mod grid;
 mod input_check;
 mod inside;
@@ -28,6 +30,7 @@ mod interfaces;
 mod label;
 mod lattice;
 mod layers;
+mod mending;
 mod occupancy_grid;
 mod parts;
 mod quality;
@@ -45,6 +48,7 @@ mod untangle;
 mod volume_correction;
 mod walls;
 
+pub use gaps::GapReport;
 pub use interface_samples::DISTANCE_REACH;
 pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
@@ -102,13 +106,9 @@ pub fn build(
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
     progress("casting rays", 0.1);
-    let mut labels = label::label(&grid, &surfaces, &mut walls);
-    let mending = lattice::mend_all(&grid, &mut labels, &walls, &parts);
-    let lost = walls.lost(&grid, &labels);
-    drop(walls);
-    input_check::mending(&mending, grid.cell_count(), &mut warnings);
-    let mut lattice = lattice::number(&grid, &labels);
-    drop(labels);
+    let fused = &input.scene.fuse;
+    let (mut lattice, mending, lost) = numbered(&grid, &surfaces, walls, &parts, &query, fused);
+    input_check::mending(&mending, &lattice, grid.cell_count(), &mut warnings);
     if lattice.cells.is_empty() {
         return Err(input_check::too_coarse(&surfaces, spacing));
     }
@@ -136,6 +136,7 @@ pub fn build(
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
     drop(placed.constraints);
+    let opened = std::mem::take(&mut lattice.opened);
     let mut model = Model {
         spacing_m: spacing,
         gravity: input.scene.gravity_m_s2,
@@ -161,6 +162,7 @@ pub fn build(
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     input_check::regions(&regions, &mut warnings);
     input_check::hanging(&model, &mut warnings);
+    let gaps = gaps::reports(&model, &opened);
     let figures = figures(&model, &faces, &names);
     let report = BuildReport {
         nodes: model.nodes.len(),
@@ -179,11 +181,35 @@ pub fn build(
         },
         bars: figures.bars,
         thin: collector.finish(&names),
+        gaps,
         topology_hash: figures.topology_hash,
         warnings,
     };
     progress("done", 1.0);
     Ok((model, report))
+}
+
+/// Labels the cells and numbers the lattice. Also returns the repairs of the labels, and the lost parts of the input.
+fn numbered(
+    grid: &Grid,
+    surfaces: &[&Surface],
+    mut walls: walls::Walls,
+    parts: &[Vec<Aabb>],
+    query: &inside::PointQuery,
+    fused: &[[usize; 2]],
+) -> (lattice::Lattice, mending::Mending, Vec<(usize, u8, u8)>) {
+    let (mut labels, parts_of) = label::label(grid, surfaces, &mut walls);
+    let mending = mending::mend_all(grid, &mut labels, &walls, parts);
+    let lost = walls.lost(grid, &labels);
+    let joints = gaps::Joints {
+        grid,
+        labels: &labels,
+        walls: &walls,
+        parts: &parts_of,
+        query,
+        fused,
+    };
+    (joints.number(), mending, lost)
 }
 
 /// A label volume is authoritative for the regions that it alone describes.
@@ -235,7 +261,7 @@ struct Input<'a> {
 /// Positions of the nodes, and the record of their placement.
 struct Placed {
     positions: Vec<Vec3>,
-    constraints: Vec<snap::Constraint>,
+    constraints: Vec<constraint::Constraint>,
     /// The cells around each node.
     around: Vec<[u32; 8]>,
     /// Nodes that two interfaces claimed.
@@ -254,7 +280,7 @@ fn position_nodes(
 ) -> Placed {
     let interfaces = input.interfaces;
     progress("snapping nodes", 0.3);
-    let mut constraints = snap::constraints(lattice);
+    let mut constraints = constraint::constraints(lattice);
     snap::mark_rims(grid, lattice, interfaces, &mut constraints);
     let tied = snap::settle_ties(grid, lattice, interfaces, &mut constraints);
     let mut positions = snap::snap(grid, lattice, input.surfaces, interfaces, &constraints);

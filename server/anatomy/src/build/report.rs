@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::gaps::GapReport;
 use super::thin::ThinParts;
 use crate::surface::{Edges, Sets};
 
@@ -34,6 +35,9 @@ pub struct BuildReport {
     /// Parts thinner than the spacing, and parts of the input that were lost.
     #[serde(default)]
     pub thin: ThinParts,
+    /// Gaps of the input that stay open although no cell is empty there.
+    #[serde(default)]
+    pub gaps: Vec<GapReport>,
     /// Topology hash of the uncut model, hexadecimal.
     pub topology_hash: String,
     /// Warnings for the user, one sentence each.

@@ -3,6 +3,8 @@
 //! Neighbouring rays are a quarter of a cell apart, and stretches of one region side by side are connected. So
 //! even a part too thin for a cell of its own is assigned to the part it is connected to.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::grid::Grid;
@@ -16,6 +18,9 @@ pub(super) const RAYS_PER_CELL: usize = 4;
 
 /// A gap or a strand that is shorter than this, in cells, is rounding.
 pub(super) const NOTHING: f64 = 1e-6;
+
+/// Parts of the input closer together than this, in spacings, touch.
+const GAP_MIN: f64 = 1.0 / RAYS_PER_CELL as f64;
 
 /// A piece of a ray within one region.
 #[derive(Debug, Clone, Copy)]
@@ -76,7 +81,48 @@ impl Strands {
             .zip(self.parts[range].iter().copied())
     }
 
-    fn range(&self, ray: usize) -> std::ops::Range<usize> {
+    /// The pairs of parts that touch along a ray, or at one height of two neighbouring rays: a gap of a quarter of
+    /// a cell always has a ray in it. Both ways, sorted.
+    pub(super) fn touching(&self) -> Vec<[u32; 2]> {
+        let rays = self.start.len() - 1;
+        let rows: Vec<Vec<[u32; 2]>> = (0..rays / self.width)
+            .into_par_iter()
+            .map(|row| {
+                let mut pairs = Vec::new();
+                for ray in row * self.width..(row + 1) * self.width {
+                    let own = self.range(ray);
+                    for strand in own.clone().skip(1) {
+                        if self.all[strand].from - self.all[strand - 1].to < GAP_MIN {
+                            self.pair(strand - 1, strand, &mut pairs);
+                        }
+                    }
+                    let right = Some(ray + 1).filter(|r| r % self.width != 0);
+                    let above = Some(ray + self.width).filter(|r| *r < rays);
+                    for other in [right, above].into_iter().flatten() {
+                        self.side_by_side(own.clone(), self.range(other), |a, b| {
+                            self.pair(a, b, &mut pairs);
+                        });
+                    }
+                }
+                pairs.sort_unstable();
+                pairs.dedup();
+                pairs
+            })
+            .collect();
+        let mut pairs = rows.concat();
+        pairs.par_sort_unstable();
+        pairs.dedup();
+        pairs
+    }
+
+    fn pair(&self, a: usize, b: usize, pairs: &mut Vec<[u32; 2]>) {
+        let [p, q] = [self.parts[a], self.parts[b]];
+        if p != q && pairs.last() != Some(&[q, p]) {
+            pairs.extend([[p, q], [q, p]]);
+        }
+    }
+
+    fn range(&self, ray: usize) -> Range<usize> {
         self.start[ray] as usize..self.start[ray + 1] as usize
     }
 
@@ -96,12 +142,25 @@ impl Strands {
     }
 
     fn join_rays(&self, sets: &mut Sets, one: usize, other: usize) {
-        let (one, other) = (self.range(one), self.range(other));
+        self.side_by_side(self.range(one), self.range(other), |a, b| {
+            if self.all[a].region == self.all[b].region {
+                sets.join(a as u32, b as u32);
+            }
+        });
+    }
+
+    /// Calls `each` with the strands of two rays that have a height in common.
+    fn side_by_side(
+        &self,
+        one: Range<usize>,
+        other: Range<usize>,
+        mut each: impl FnMut(usize, usize),
+    ) {
         let (mut a, mut b) = (one.start, other.start);
         while a < one.end && b < other.end {
             let (s, t) = (&self.all[a], &self.all[b]);
-            if s.region == t.region && s.from.max(t.from) < s.to.min(t.to) {
-                sets.join(a as u32, b as u32);
+            if s.from.max(t.from) < s.to.min(t.to) {
+                each(a, b);
             }
             if s.to < t.to {
                 a += 1;

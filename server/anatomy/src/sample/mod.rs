@@ -84,6 +84,7 @@ impl Sample {
         let scene = Scene {
             spacing_m: body.spacing_m,
             auto_spacing: false,
+            fuse: Vec::new(),
             pinned: body.pinned.iter().map(|&name| name.to_owned()).collect(),
             gravity_m_s2: [0.0; 3],
             regions: regions.collect(),
