@@ -4,6 +4,7 @@
 
 use std::fmt;
 
+use palpate_protocol::compensation::BRIDGE;
 use serde::{Deserialize, Serialize};
 
 use crate::report::{ParticipantReport, Report};
@@ -28,6 +29,10 @@ pub const CUT_APART_MM: f64 = 2.0;
 /// Maximum median time by which a trainee sees parts of strokes behind the blade, ms: a hand at 20 mm/s is then 5 mm
 /// ahead of its wound.
 pub const CUT_BEHIND_MS: f64 = 250.0;
+
+/// Maximum time for which a site shows another state of a needle than its holder at the same session time, ms: twice the gap
+/// in the motion that the artificial delay leaves.
+pub const INSERTION_APART_MS: f64 = 2e-3 * BRIDGE.as_micros() as f64;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -126,6 +131,8 @@ pub struct Expected<'a> {
     pub others: &'a [&'a str],
     /// Strokes of the blade in the scripts; each one is a cut.
     pub strokes: u64,
+    /// Insertions of the needle in the script of the first trainee.
+    pub insertions: u64,
     /// Maximum D, ms; `None` if D is not judged.
     pub delay_limit_ms: Option<f64>,
     /// Whether the maximum delay covers the network, so that no participant may be demoted.
@@ -138,6 +145,9 @@ pub fn judge(report: &Report, expected: &Expected<'_>) -> Vec<Criterion> {
         judged.hand(report, name);
     }
     judged.shared(report, expected);
+    if expected.insertions > 0 {
+        judged.insertions(report, expected);
+    }
     judged.complete(report, expected);
     judged.0
 }
@@ -202,6 +212,22 @@ impl Judged {
         self.none_of("topologies that differ from the server's", differ);
         let open = u64::from(!report.cut.boundary_closed);
         self.none_of("open outer surfaces", Some(open));
+    }
+
+    /// The needle of the first trainee.
+    fn insertions(&mut self, report: &Report, expected: &Expected<'_>) {
+        let of = |name: &str| report.insertions.iter().find(|i| i.participant == name);
+        let mut names = expected.trainees.iter().chain(expected.others);
+        let count = names.next().and_then(|holder| of(holder));
+        let count = count.map(|seen| seen.count as f64);
+        let least = expected.insertions as f64;
+        let entered = Criterion::new("insertions of the needle", count, Bound::AtLeast, least, "");
+        self.0.push(entered);
+        for name in names {
+            let what = format!("disagreement on the insertion, seen by the {name}");
+            let apart_ms = of(name).and_then(|seen| seen.apart_ms);
+            self.at_most(what, apart_ms, INSERTION_APART_MS, "ms");
+        }
     }
 
     fn complete(&mut self, report: &Report, expected: &Expected<'_>) {
