@@ -364,6 +364,11 @@ fn judge(report: &mut Report, options: &DemoOptions) {
             options.profile.name
         ));
     }
+    if options.needle {
+        let note =
+            "the residual of the reference is not judged with a needle; its estimated error is";
+        report.notes.push(note.to_owned());
+    }
     report.judge(&Expected {
         trainees: &NAMES,
         others: &[LATE_NAME],

@@ -138,7 +138,6 @@ fn needle_is_felt_by_its_holder_and_inserted_at_every_site() {
     // It pulls on the way out.
     let pulls = |p: &ForcePoint| p.force_n[2] < -0.1 * error.max_n.max(0.2);
     assert!(felt.iter().any(pulls));
-    eprintln!("{error:?} {dropouts:?} {d:?} {limit_n}");
 }
 
 fn scripts_of(model: &Arc<Model>, seconds: f64) -> Scripts {
