@@ -4,7 +4,6 @@
 
 use std::fmt;
 
-use palpate_protocol::compensation::BRIDGE;
 use serde::{Deserialize, Serialize};
 
 use crate::report::{ParticipantReport, Report};
@@ -30,9 +29,9 @@ pub const CUT_APART_MM: f64 = 2.0;
 /// ahead of its wound.
 pub const CUT_BEHIND_MS: f64 = 250.0;
 
-/// Maximum time for which a site shows another state of a needle than its holder at the same session time, ms: twice the gap
-/// in the motion that the artificial delay leaves.
-pub const INSERTION_APART_MS: f64 = 2e-3 * BRIDGE.as_micros() as f64;
+/// Maximum time for which a site shows another state of a needle than its holder at the same session time, ms: twice the time
+/// for which the motion of a tool is extrapolated.
+pub const INSERTION_APART_MS: f64 = 100.0;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -1,7 +1,7 @@
 use palpate_client::Summary;
 use palpate_server::host::HostSummary;
 
-use super::Expected;
+use super::{Expected, INSERTION_APART_MS};
 use crate::cpu::CpuRow;
 use crate::delay_figures::DelayFigures;
 use crate::dropout::Dropouts;
@@ -213,9 +213,9 @@ fn insertion_that_a_site_misses_fails() {
         let failed = report.criteria.into_iter().filter(|c| !c.ok);
         failed.map(|c| c.criterion).collect::<Vec<_>>()
     };
-    assert_eq!(failed(2, Some(100.0)), [""; 0]);
-    assert_eq!(failed(1, Some(100.0)), ["insertions of the needle"]);
-    for apart in [Some(120.0), None] {
+    assert_eq!(failed(2, Some(INSERTION_APART_MS)), [""; 0]);
+    assert_eq!(failed(1, Some(INSERTION_APART_MS)), ["insertions of the needle"]);
+    for apart in [Some(INSERTION_APART_MS + 1.0), None] {
         let missed = "disagreement on the insertion, seen by the cutter";
         assert_eq!(failed(2, apart), [missed]);
     }
