@@ -214,7 +214,10 @@ fn insertion_that_a_site_misses_fails() {
         failed.map(|c| c.criterion).collect::<Vec<_>>()
     };
     assert_eq!(failed(2, Some(INSERTION_APART_MS)), [""; 0]);
-    assert_eq!(failed(1, Some(INSERTION_APART_MS)), ["insertions of the needle"]);
+    assert_eq!(
+        failed(1, Some(INSERTION_APART_MS)),
+        ["insertions of the needle"]
+    );
     for apart in [Some(INSERTION_APART_MS + 1.0), None] {
         let missed = "disagreement on the insertion, seen by the cutter";
         assert_eq!(failed(2, apart), [missed]);
