@@ -57,6 +57,7 @@ pub(super) fn built(
         materials: parts.iter().enumerate().map(own).collect(),
         auto_spacing: false,
         pinned: Vec::new(),
+        fuse: Vec::new(),
         gravity_m_s2: [0.0; 3],
         base: PathBuf::new(),
     };
