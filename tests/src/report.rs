@@ -320,7 +320,7 @@ impl fmt::Display for Brief<'_> {
                 .map_or("unknown".to_owned(), |ms| format!("{ms:.0} ms"));
             writeln!(
                 f,
-                "needle seen by {:<9} {} insertions, at most {apart} apart from the holder at the same moment",
+                "needle seen by {:<9} insertions: {}, at most {apart} apart from the holder at the same moment",
                 seen.participant, seen.count
             )?;
         }
