@@ -13,64 +13,61 @@ use std::sync::Arc;
 use palpate_anatomy::sample::Sample;
 use palpate_anatomy::{SceneInput, build};
 use palpate_tissue::Topology;
-use strokes::sheet_laws::{check, check_crossings, count};
+use strokes::sheet_laws::{Tally, check, check_crossings, count};
 
-/// Least shares of the nodes inside, on interfaces and at crossings that are on the swept surface. Others are on interfaces
-/// that meet the blade flatly, on creases, or between walls, interfaces and the blade in one cell.
-const SHARES: [f64; 3] = [0.95, 0.7, 0.0];
+/// Least shares of the nodes inside, on interfaces and at crossings that are on the swept surface, over all models of a
+/// test. Others are on interfaces that meet the blade flatly, on creases, or between walls, interfaces and the blade in one
+/// cell. The shares of a single model change by up to 0.03 when its nodes move by 1e-9 m.
+const SHARES: [f64; 3] = [0.965, 0.78, 0.0];
 /// The same where a second stroke crosses the wound of a first.
-const CROSSING_SHARES: [f64; 3] = [0.92, 0.7, 0.45];
+const CROSSING_SHARES: [f64; 3] = [0.935, 0.75, 0.58];
 
-fn check_model(name: &str, input: &SceneInput, strokes: u64) {
-    let (model, _) = build(input, &mut |_, _| ()).unwrap();
-    let uncut = Topology::new(Arc::new(model));
-    for (part, tally) in [
-        ("whole", check(&uncut, count(strokes), None)),
-        (
-            "pieces",
+/// Cuts each model with a number of random strokes: whole, in pieces, and across each other.
+fn check_models(models: &[(&str, SceneInput, u64)]) {
+    let mut tallies: [Tally; 3] = Default::default();
+    for (name, input, strokes) in models {
+        let (model, _) = build(input, &mut |_, _| ()).unwrap();
+        let uncut = Topology::new(Arc::new(model));
+        let found = [
+            check(&uncut, count(*strokes), None),
             check(&uncut, count(strokes.div_ceil(20)), Some(2e-3)),
-        ),
-        (
-            "crossings",
             check_crossings(&uncut, count(strokes.div_ceil(4))),
-        ),
-    ] {
-        println!("{name}, {part}: {tally:?} {:?}", tally.shares());
-        let least = if part == "crossings" {
-            CROSSING_SHARES
-        } else {
-            SHARES
-        };
-        for (share, least) in tally.shares().into_iter().zip(least) {
-            assert!(share >= least, "{name}, {part}: {share}");
+        ];
+        for (tally, found) in tallies.iter_mut().zip(found) {
+            println!("{name}: {found:?} {:?}", found.shares());
+            tally.add(&found);
         }
+    }
+    for (tally, least) in tallies.iter().zip([SHARES, SHARES, CROSSING_SHARES]) {
+        let shares = tally.shares();
+        println!("{tally:?} {shares:?}");
+        assert!(
+            shares
+                .iter()
+                .zip(least)
+                .all(|(share, least)| *share >= least)
+        );
     }
 }
 
 #[test]
 fn random_strokes_on_the_samples_keep_the_laws() {
-    for (sample, strokes) in [
+    let models = [
         (Sample::Thigh, 200),
         (Sample::AbdominalWall, 100),
         (Sample::Leg, 100),
         (Sample::Handle, 100),
-    ] {
-        check_model(&format!("{sample:?}"), &sample.input().unwrap(), strokes);
-    }
+    ];
+    check_models(&models.map(|(sample, strokes)| ("sample", sample.input().unwrap(), strokes)));
 }
 
 #[test]
-fn random_strokes_on_a_real_thigh_keep_the_laws() {
+fn random_strokes_on_a_real_thigh_and_torso_keep_the_laws() {
     let Some(folder) = real_models::folder() else {
         return;
     };
-    check_model("real thigh", &real_models::thigh(&folder), 200);
-}
-
-#[test]
-fn random_strokes_on_a_real_torso_keep_the_laws() {
-    let Some(folder) = real_models::folder() else {
-        return;
-    };
-    check_model("real torso", &real_models::torso(&folder), 100);
+    check_models(&[
+        ("real thigh", real_models::thigh(&folder), 200),
+        ("real torso", real_models::torso(&folder), 100),
+    ]);
 }

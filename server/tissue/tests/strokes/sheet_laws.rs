@@ -30,6 +30,21 @@ pub(crate) struct Tally {
 }
 
 impl Tally {
+    pub(crate) fn add(&mut self, other: &Self) {
+        let parts = [
+            (&mut self.inside, other.inside),
+            (&mut self.interface, other.interface),
+            (&mut self.crossing, other.crossing),
+        ];
+        for (own, others) in parts {
+            for (own, other) in own.iter_mut().zip(others) {
+                *own += other;
+            }
+        }
+        self.faces += other.faces;
+        self.refused += other.refused;
+    }
+
     /// Shares of the nodes inside, on interfaces and at crossings that are on the swept surface.
     pub(crate) fn shares(&self) -> [f64; 3] {
         let counts = [self.inside, self.interface, self.crossing];
