@@ -148,8 +148,8 @@ fn describe(report: &BuildReport) {
             r.input_components,
             r.surface_distance_mean_mm * per,
             r.surface_distance_max_mm * per,
-            r.input_distance_mean_mm * per,
-            r.input_distance_max_mm * per,
+            r.input_distance_mean_mm.unwrap_or_default() * per,
+            r.input_distance_max_mm.unwrap_or_default() * per,
             r.distance_mean_outside_thin_mm * per,
             r.distance_max_outside_thin_mm * per,
         );

@@ -36,8 +36,9 @@ pub mod scene;
 pub mod surface;
 
 pub use build::{
-    BUILD_NODES_MAX, BarReport, BuildReport, CORNER_FLOOR, DISTANCE_REACH, GRID_CELLS_MAX, Layer,
-    LayerReport, Layers, NEIGHBOURS_MAX, Progress, QualityReport, RegionReport, SPRING_FLOOR,
+    BUILD_NODES_MAX, BarReport, BuildReport, COMPONENTS_MAX, CORNER_FLOOR, CRUMB_MM3,
+    ComponentLoss, ComponentReport, ContactReport, GRID_CELLS_MAX, KEPT_MIN, Layer, LayerReport,
+    Layers, MergedComponent, NEIGHBOURS_MAX, Progress, QualityReport, RegionReport, SPRING_FLOOR,
     SpacingReport, SpringCounts, SurfaceReport, THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts,
     build, region_surface,
 };

@@ -102,7 +102,7 @@ impl Bvh {
         self.corners(&self.triangles[index])
     }
 
-    /// The number of one triangle.
+    /// The tag of one triangle.
     pub(super) fn tag(&self, index: usize) -> u16 {
         self.triangles[index].tag
     }
@@ -113,6 +113,16 @@ impl Bvh {
 
     /// The point nearest to `point` that is not farther than `reach` (m).
     pub(super) fn nearest(&self, point: &Vec3, reach: f64) -> Option<Vec3> {
+        self.nearest_tagged(point, reach, |_| true)
+    }
+
+    /// The same on the triangles whose tag `accept` takes.
+    pub(super) fn nearest_tagged(
+        &self,
+        point: &Vec3,
+        reach: f64,
+        accept: impl Fn(u16) -> bool,
+    ) -> Option<Vec3> {
         if self.nodes.is_empty() {
             return None;
         }
@@ -133,7 +143,9 @@ impl Bvh {
                 let from = node.start as usize;
                 for triangle in &self.triangles[from..from + node.count as usize] {
                     let [a, b, c] = &triangle.corners;
-                    if box_of(&triangle.corners).distance_squared(&at) > best {
+                    if !accept(triangle.tag)
+                        || box_of(&triangle.corners).distance_squared(&at) > best
+                    {
                         continue;
                     }
                     let candidate = nearest_on(&at, &[local(a), local(b), local(c)]);

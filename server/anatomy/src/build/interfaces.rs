@@ -9,7 +9,7 @@
 use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
-use super::bvh::{Bvh, Flat, NO_TAG};
+use super::bvh::{Bvh, Flat};
 use super::faces::OUTSIDE;
 use super::inside::PointQuery;
 use super::rim::{self, Rims};
@@ -106,21 +106,20 @@ impl Interfaces {
     }
 }
 
-/// Tag of a triangle of an interface: the regions on its two sides.
-fn tag(sides: Sides) -> u16 {
-    // No scene has so many regions that this equals `NO_TAG`.
-    u16::from(sides.behind) << 8 | sides.before.map_or(0xff, u16::from)
+/// Tag of a triangle of an interface: the regions behind and before it, or [`OUTSIDE`].
+pub(super) fn tag([behind, before]: [u16; 2]) -> u16 {
+    // A scene has fewer regions than a byte counts.
+    (behind << 8) | (before & 0xff)
 }
 
-/// The regions behind and before a triangle of an interface, or [`OUTSIDE`], where they are known.
-pub(super) fn sides_of(bvh: &Bvh, triangle: usize) -> Option<[u16; 2]> {
-    let tag = bvh.tag(triangle);
+/// The regions behind and before a triangle of an interface with this tag, or [`OUTSIDE`].
+pub(super) fn sides_of(tag: u16) -> [u16; 2] {
     let before = if tag & 0xff == 0xff {
         OUTSIDE
     } else {
         tag & 0xff
     };
-    (tag != NO_TAG).then_some([tag >> 8, before])
+    [tag >> 8, before]
 }
 
 /// One interface of the model: the outer surface, or where region `r` overrides others.
@@ -183,7 +182,11 @@ impl Sorter<'_> {
             let has_sides = vector.try_normalize(0.0).is_some();
             let outer = has_sides && sides.before.is_none() && self.region == 0;
             let inner = has_sides && sides.before.is_some_and(|b| usize::from(b) < self.region);
-            let piece = Bvh::flat(self.origin, &corners).tagged(tag(*sides));
+            let (behind, before) = (
+                u16::from(sides.behind),
+                sides.before.map_or(OUTSIDE, u16::from),
+            );
+            let piece = Bvh::flat(self.origin, &corners).tagged(tag([behind, before]));
             if outer {
                 sorted.outer.push(piece);
             } else if inner {
@@ -231,15 +234,17 @@ impl Sorter<'_> {
                 stack.extend(halves);
                 continue;
             }
-            let (pieces, turned) = match here {
-                Kind::Outer { turned } => (&mut sorted.outer, turned),
-                Kind::Inner { turned } => (&mut sorted.inner, turned),
+            let (pieces, turned, sides) = match here {
+                Kind::Outer { turned, behind } => (&mut sorted.outer, turned, [behind, OUTSIDE]),
+                Kind::Inner { turned, before } => {
+                    (&mut sorted.inner, turned, [self.region as u16, before])
+                }
                 Kind::Hidden => continue,
             };
             any_turned |= turned;
             let [a, b, c] = piece;
             let outwards = if turned { [a, c, b] } else { piece };
-            pieces.push(Bvh::flat(self.origin, &outwards));
+            pieces.push(Bvh::flat(self.origin, &outwards).tagged(tag(sides)));
         }
         any_turned
     }
@@ -267,11 +272,12 @@ fn vertex_kinds(surface: &Surface, region: usize, query: &PointQuery, spacing: f
         .collect()
 }
 
-/// Classification of a piece of a region's surface; a turned piece faces into its region.
+/// Classification of a piece of a region's surface; a turned piece faces into its region. `behind` and `before` are the
+/// regions there once it faces outwards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
-    Outer { turned: bool },
-    Inner { turned: bool },
+    Outer { turned: bool, behind: u16 },
+    Inner { turned: bool, before: u16 },
     Hidden,
 }
 
@@ -279,15 +285,23 @@ enum Kind {
 fn kind(region: usize, query: &PointQuery, at: Vec3, look: Vec3) -> Kind {
     match [at - look, at + look].map(|p| query.region_at(p)) {
         // Flat ends that several regions share are of this kind for each of these regions.
-        [Some(_), None] => Kind::Outer { turned: false },
-        [None, Some(_)] if query.contains(region, at + look) => Kind::Outer { turned: true },
+        [Some(behind), None] => Kind::Outer {
+            turned: false,
+            behind: behind as u16,
+        },
+        [None, Some(behind)] if query.contains(region, at + look) => Kind::Outer {
+            turned: true,
+            behind: behind as u16,
+        },
         // Before a later region, the wall of the later region stands in the same position and counts instead.
-        [Some(behind), Some(before)] if behind == region && before < region => {
-            Kind::Inner { turned: false }
-        }
-        [Some(behind), Some(before)] if before == region && behind < region => {
-            Kind::Inner { turned: true }
-        }
+        [Some(behind), Some(before)] if behind == region && before < region => Kind::Inner {
+            turned: false,
+            before: before as u16,
+        },
+        [Some(behind), Some(before)] if before == region && behind < region => Kind::Inner {
+            turned: true,
+            before: behind as u16,
+        },
         _ => Kind::Hidden,
     }
 }

@@ -18,6 +18,8 @@ mod bar;
 mod bridge;
 mod bvh;
 mod compare;
+mod component_loss;
+mod contact_change;
 mod faces;
 mod folds;
 mod grid;
@@ -29,9 +31,12 @@ mod label;
 mod lattice;
 mod layers;
 mod occupancy_grid;
+mod overlap;
 mod parts;
 mod quality;
 mod rays;
+mod region_distances;
+mod region_surfaces;
 mod relax;
 mod report;
 mod rim;
@@ -45,7 +50,10 @@ mod untangle;
 mod volume_correction;
 mod walls;
 
-pub use interface_samples::DISTANCE_REACH;
+pub use component_loss::{
+    COMPONENTS_MAX, CRUMB_MM3, ComponentLoss, ComponentReport, KEPT_MIN, MergedComponent,
+};
+pub use contact_change::ContactReport;
 pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
 pub(crate) use report::report_triangles;
@@ -131,7 +139,10 @@ pub fn build(
 
     progress("looking for thin parts", 0.8);
     let nodes = &placed.positions;
-    let samples = interface_samples::samples(&interfaces, &query, &faces, nodes, grid.middle());
+    let surfaces_of_model =
+        region_surfaces::ModelSurfaces::new(&interfaces, &faces, nodes, grid.middle());
+    let samples = interface_samples::samples(&interfaces, &surfaces_of_model);
+    drop(surfaces_of_model);
     let mut collector = thin::Collector::of(&grid, &samples, &mending.crumbs, &lost, &parts);
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
@@ -147,6 +158,12 @@ pub fn build(
     model.resolve_fibres();
 
     progress("comparing with the input", 0.9);
+    let input_rays = match &input.voxels {
+        Some(voxels) => overlap::InputRays::of_voxels(voxels, spacing),
+        None => overlap::InputRays::of_surfaces(&grid, &surfaces),
+    };
+    let overlap = input_rays.compare(&model, &faces);
+    drop(input_rays);
     let (regions, strays) = compare::regions(&compare::Compared {
         model: &model,
         around: &around,
@@ -154,7 +171,7 @@ pub fn build(
         interfaces: &interfaces,
         samples: &samples,
         thin: &collector,
-        parts: &parts,
+        overlap: &overlap,
         input_volumes: &input_volumes,
     });
     collector.add_strays(&strays);
@@ -179,6 +196,8 @@ pub fn build(
         },
         bars: figures.bars,
         thin: collector.finish(&names),
+        component_loss: component_loss::losses(&overlap.components, &names, CRUMB_MM3),
+        contacts: contact_change::contacts(&grid, &samples, &faces, &model.nodes, &names),
         topology_hash: figures.topology_hash,
         warnings,
     };

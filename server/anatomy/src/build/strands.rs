@@ -14,21 +14,24 @@ use crate::surface::Sets;
 /// Rays across a cell along x and along y.
 pub(super) const RAYS_PER_CELL: usize = 4;
 
-/// A gap or a strand that is shorter than this, in cells, is rounding.
+/// A gap or a strand that is shorter than this, in units of the rays, is rounding.
 pub(super) const NOTHING: f64 = 1e-6;
 
 /// A piece of a ray within one region.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Strand {
     pub(super) region: u8,
-    /// Where it begins and ends, in cells along z.
+    /// Where it begins and ends: in cells along z, or in the unit of the rays.
     pub(super) from: f64,
     pub(super) to: f64,
 }
 
-/// The strands of all rays along z, overlaps resolved.
+/// The strands of a row of rays, and their number up to the end of each ray.
+pub(super) type Row = (Vec<u32>, Vec<Strand>);
+
+/// The strands of parallel rays, overlaps resolved.
 pub(super) struct Strands {
-    /// Rays along x.
+    /// Rays of a row.
     width: usize,
     /// First strand of each ray, and one past the last of all.
     start: Vec<u32>,
@@ -38,7 +41,7 @@ pub(super) struct Strands {
 }
 
 impl Strands {
-    /// Sends rays through all surfaces.
+    /// Sends rays along z through all surfaces.
     pub(super) fn new(grid: &Grid, surfaces: &[&Surface]) -> Self {
         let step = grid.spacing / RAYS_PER_CELL as f64;
         let rays = Rays {
@@ -48,11 +51,22 @@ impl Strands {
             count: [0, 1].map(|a| grid.cells[a] * RAYS_PER_CELL),
         };
         let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
+        Self::of_hits(&hits, &rays, grid.origin.z, grid.spacing)
+    }
+
+    /// The strands of rays with the hits of each region's surface, measured from `origin` in this unit.
+    pub(super) fn of_hits(hits: &[Hits], rays: &Rays, origin: f64, unit: f64) -> Self {
         let [width, height] = rays.count;
-        let rows: Vec<(Vec<u32>, Vec<Strand>)> = (0..height)
-            .into_par_iter()
-            .map(|v| row(grid, &hits, &rays, v))
-            .collect();
+        let at = |depth: f64| (depth - origin) / unit;
+        let rows = (0..height).into_par_iter();
+        Self::of_rows(
+            width,
+            rows.map(|v| row(hits, rays, v, &at)).collect::<Vec<_>>(),
+        )
+    }
+
+    /// The strands of rows of `width` rays each.
+    pub(super) fn of_rows(width: usize, rows: Vec<Row>) -> Self {
         let mut this = Self {
             width,
             start: vec![0],
@@ -74,6 +88,16 @@ impl Strands {
         self.all[range.clone()]
             .iter()
             .zip(self.parts[range].iter().copied())
+    }
+
+    /// Number of rays in a row, and of rows.
+    pub(super) fn size(&self) -> [usize; 2] {
+        [self.width, (self.start.len() - 1) / self.width.max(1)]
+    }
+
+    /// Number of strands; parts have smaller numbers.
+    pub(super) fn len(&self) -> usize {
+        self.all.len()
     }
 
     fn range(&self, ray: usize) -> std::ops::Range<usize> {
@@ -112,9 +136,7 @@ impl Strands {
     }
 }
 
-/// The strands of a row of rays, and their number up to the end of each ray.
-fn row(grid: &Grid, hits: &[Hits], rays: &Rays, v: usize) -> (Vec<u32>, Vec<Strand>) {
-    let at = |z: f64| (z - grid.origin.z) / grid.spacing;
+fn row(hits: &[Hits], rays: &Rays, v: usize, at: &(impl Fn(f64) -> f64 + Sync)) -> Row {
     let mut strands: Vec<Strand> = Vec::new();
     let mut ends = Vec::with_capacity(rays.count[0]);
     let mut sweep = Sweep::default();

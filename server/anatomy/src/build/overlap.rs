@@ -1,0 +1,313 @@
+//! Volume that the model and its input have in common, and the connected components of the input.
+//!
+//! Parallel rays run through both, and stretches of one region in both are counted. Surfaces are sampled by sixteen
+//! rays per cell column. Label volumes are not sampled: every row of voxels has rays along it, so their volume is
+//! exact, and the model is measured against the voxels instead of the surface that was extracted from them.
+
+use nalgebra::Matrix3;
+use palpate_tissue::{Model, RegionId, Vec3};
+use rayon::prelude::*;
+
+use super::faces::Face;
+use super::grid::Grid;
+use super::layers::surface_of;
+use super::rays::{Hits, Rays, cast, cast_at};
+use super::strands::{RAYS_PER_CELL, Strand, Strands};
+use crate::Surface;
+use crate::labels::{Affine, VoxelRuns};
+
+/// The frame that the rays run in.
+struct Frame {
+    to_world: Affine,
+    rays: Rays,
+    /// Volume in m³ that a unit of a ray stands for.
+    volume: f64,
+}
+
+/// The input as stretches of rays.
+pub(super) struct InputRays {
+    frame: Frame,
+    strands: Strands,
+}
+
+/// Volumes of a region in m³.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Volumes {
+    pub(super) input: f64,
+    pub(super) model: f64,
+    pub(super) common: f64,
+}
+
+impl Volumes {
+    /// Dice coefficient; 1 for two empty regions.
+    pub(super) fn dice(&self) -> f64 {
+        let sum = self.input + self.model;
+        if sum > 0.0 {
+            2.0 * self.common / sum
+        } else {
+            1.0
+        }
+    }
+
+    /// Volume of the symmetric difference in m³.
+    pub(super) fn difference(&self) -> f64 {
+        (self.input + self.model - 2.0 * self.common).max(0.0)
+    }
+
+    /// The same as a part of the input; 0 where there is no input.
+    pub(super) fn difference_part(&self) -> f64 {
+        if self.input > 0.0 {
+            self.difference() / self.input
+        } else {
+            0.0
+        }
+    }
+}
+
+/// A connected component of a region of the input, less what later regions take.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Component {
+    pub(super) region: u8,
+    /// Volume in m³.
+    pub(super) volume: f64,
+    /// Part of the volume that the model's region has in common with it.
+    pub(super) kept: f64,
+    /// The middle of its longest stretch: a point inside.
+    pub(super) at: Vec3,
+    /// The component of the model's region that has most of it.
+    pub(super) within: Option<u32>,
+}
+
+/// The model against its input.
+pub(super) struct Overlap {
+    /// Of each region.
+    pub(super) volumes: Vec<Volumes>,
+    pub(super) components: Vec<Component>,
+}
+
+impl InputRays {
+    /// Rays through the surfaces of a scene.
+    pub(super) fn of_surfaces(grid: &Grid, surfaces: &[&Surface]) -> Self {
+        let step = grid.spacing / RAYS_PER_CELL as f64;
+        // Along x: the cells were chosen by rays along z.
+        let rays = Rays {
+            axis: 0,
+            first: [1, 2].map(|a| grid.origin[a] + step / 2.0),
+            step,
+            count: [1, 2].map(|a| grid.cells[a] * RAYS_PER_CELL),
+        };
+        let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
+        Self {
+            strands: Strands::of_hits(&hits, &rays, 0.0, 1.0),
+            frame: Frame {
+                to_world: Affine {
+                    linear: Matrix3::identity(),
+                    origin: Vec3::zeros(),
+                },
+                rays,
+                volume: step * step,
+            },
+        }
+    }
+
+    /// Rays along the rows of a label volume, no farther apart than those through surfaces.
+    pub(super) fn of_voxels(voxels: &VoxelRuns, spacing: f64) -> Self {
+        let sides = voxels.to_world.spacing_m();
+        let split = [1, 2].map(|a| (sides[a] / spacing * RAYS_PER_CELL as f64).ceil().max(1.0));
+        // Rays are a unit apart in both directions.
+        let scale = [1.0, split[0], split[1]];
+        let to_world = Affine {
+            linear: Matrix3::from_fn(|r, c| voxels.to_world.linear[(r, c)] / scale[c]),
+            origin: voxels.to_world.origin,
+        };
+        let [each_j, each_k] = split.map(|n| n as usize);
+        let count = [voxels.size[1] * each_j, voxels.size[2] * each_k];
+        let rays = Rays {
+            axis: 0,
+            first: split.map(|n| (1.0 - n) / 2.0),
+            step: 1.0,
+            count,
+        };
+        let rows = (0..count[1]).into_par_iter().map(|v| {
+            let (mut ends, mut strands) = (Vec::with_capacity(count[0]), Vec::new());
+            for u in 0..count[0] {
+                let runs = voxels.row([u / each_j, v / each_k]).iter();
+                strands.extend(runs.map(|run| {
+                    let [from, to] = run.range.map(|i| f64::from(i) - 0.5);
+                    let region = run.region;
+                    Strand { region, from, to }
+                }));
+                ends.push(strands.len() as u32);
+            }
+            (ends, strands)
+        });
+        Self {
+            strands: Strands::of_rows(count[0], rows.collect()),
+            frame: Frame {
+                volume: to_world.determinant().abs(),
+                to_world,
+                rays,
+            },
+        }
+    }
+
+    /// Compares the model with the input.
+    pub(super) fn compare(&self, model: &Model, faces: &[Face]) -> Overlap {
+        let own = self.frame.strands_of(model, faces);
+        let unit = self.frame.volume;
+        let rows: Vec<RowSums> = (0..self.strands.size()[1])
+            .into_par_iter()
+            .map(|v| row_sums(&self.strands, &own, v, model.regions.len()))
+            .collect();
+        let mut volumes = vec![Volumes::default(); model.regions.len()];
+        for row in &rows {
+            for (sums, one) in volumes.iter_mut().zip(&row.volumes) {
+                sums.input += one.input * unit;
+                sums.model += one.model * unit;
+                sums.common += one.common * unit;
+            }
+        }
+        let mut shared: Vec<Shared> = rows.into_iter().flat_map(|r| r.shared).collect();
+        merge(&mut shared);
+        Overlap {
+            volumes,
+            components: self.components(&shared),
+        }
+    }
+
+    /// The components of the input, in the order of their first strands.
+    fn components(&self, shared: &[Shared]) -> Vec<Component> {
+        const NONE: u32 = u32::MAX;
+        let mut slots = vec![NONE; self.strands.len()];
+        let mut components: Vec<Component> = Vec::new();
+        let mut longest: Vec<f64> = Vec::new();
+        let [width, height] = self.strands.size();
+        for (v, u) in (0..height).flat_map(|v| (0..width).map(move |u| (v, u))) {
+            for (strand, part) in self.strands.of([u, v]) {
+                let slot = &mut slots[part as usize];
+                if *slot == NONE {
+                    *slot = components.len() as u32;
+                    longest.push(0.0);
+                    components.push(Component {
+                        region: strand.region,
+                        volume: 0.0,
+                        kept: 0.0,
+                        at: Vec3::zeros(),
+                        within: None,
+                    });
+                }
+                let (own, longest) = (
+                    &mut components[*slot as usize],
+                    &mut longest[*slot as usize],
+                );
+                let length = strand.to - strand.from;
+                own.volume += length * self.frame.volume;
+                if length > *longest {
+                    *longest = length;
+                    own.at = self
+                        .frame
+                        .point([u, v], f64::midpoint(strand.from, strand.to));
+                }
+            }
+        }
+        for same in shared.chunk_by(|a, b| a.input == b.input) {
+            let own = &mut components[slots[same[0].input as usize] as usize];
+            let common: f64 = same.iter().map(|s| s.length).sum();
+            own.kept = common * self.frame.volume / own.volume;
+            // At equal volumes the first one, so that the result does not depend on the order of rows.
+            let most = same
+                .iter()
+                .rev()
+                .max_by(|a, b| a.length.total_cmp(&b.length));
+            own.within = most.map(|s| s.model);
+        }
+        components
+    }
+}
+
+impl Frame {
+    /// The position in the world at a depth of a ray.
+    fn point(&self, ray: [usize; 2], depth: f64) -> Vec3 {
+        let [y, z] = self.rays.position(ray);
+        self.to_world.world(&Vec3::new(depth, y, z))
+    }
+
+    /// The model along the rays.
+    fn strands_of(&self, model: &Model, faces: &[Face]) -> Strands {
+        let back = self
+            .to_world
+            .linear
+            .try_inverse()
+            .unwrap_or_else(Matrix3::identity);
+        let place = |p: &Vec3| back * (p - self.to_world.origin);
+        let nodes: Vec<Vec3> = model.nodes.par_iter().map(place).collect();
+        let hits = (0..model.regions.len() as u16).map(|r| {
+            let triangles = surface_of(model, faces, RegionId(r));
+            cast_at(&nodes, &triangles, &self.rays)
+        });
+        let hits: Vec<Hits> = hits.collect();
+        Strands::of_hits(&hits, &self.rays, 0.0, 1.0)
+    }
+}
+
+/// Length that a component of the input and one of the same region of the model have in common.
+#[derive(Debug, Clone, Copy)]
+struct Shared {
+    input: u32,
+    model: u32,
+    length: f64,
+}
+
+/// Sums of a row of rays.
+struct RowSums {
+    /// Lengths, of each region.
+    volumes: Vec<Volumes>,
+    shared: Vec<Shared>,
+}
+
+fn row_sums(input: &Strands, model: &Strands, v: usize, regions: usize) -> RowSums {
+    let mut sums = RowSums {
+        volumes: vec![Volumes::default(); regions],
+        shared: Vec::new(),
+    };
+    for u in 0..input.size()[0] {
+        for (strand, _) in input.of([u, v]) {
+            sums.volumes[usize::from(strand.region)].input += strand.to - strand.from;
+        }
+        for (strand, _) in model.of([u, v]) {
+            sums.volumes[usize::from(strand.region)].model += strand.to - strand.from;
+        }
+        let (mut theirs, mut ours) = (input.of([u, v]).peekable(), model.of([u, v]).peekable());
+        while let (Some((a, input)), Some((b, model))) = (theirs.peek(), ours.peek()) {
+            let length = a.to.min(b.to) - a.from.max(b.from);
+            if a.region == b.region && length > 0.0 {
+                sums.volumes[usize::from(a.region)].common += length;
+                sums.shared.push(Shared {
+                    input: *input,
+                    model: *model,
+                    length,
+                });
+            }
+            if a.to < b.to {
+                theirs.next();
+            } else {
+                ours.next();
+            }
+        }
+    }
+    merge(&mut sums.shared);
+    sums
+}
+
+/// Sorts by components and adds up the lengths of equal pairs.
+fn merge(shared: &mut Vec<Shared>) {
+    // A stable sort: the sums have one order.
+    shared.sort_by_key(|s| (s.input, s.model));
+    shared.dedup_by(|next, kept| {
+        let same = (next.input, next.model) == (kept.input, kept.model);
+        if same {
+            kept.length += next.length;
+        }
+        same
+    });
+}
