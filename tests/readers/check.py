@@ -14,11 +14,12 @@ import sys
 import meshio
 import nibabel
 import numpy
+import scipy
 import trimesh
 
 
 def versions():
-    modules = (meshio, trimesh, nibabel, numpy)
+    modules = (meshio, trimesh, nibabel, numpy, scipy)
     return {module.__name__: module.__version__ for module in modules}
 
 

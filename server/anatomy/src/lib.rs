@@ -44,5 +44,5 @@ pub use build::{
 };
 pub use error::InputError;
 pub use labels::LabelVolume;
-pub use scene::{RegionSource, Scene, SceneInput, SceneRegion};
+pub use scene::{RegionSource, Scene, SceneInput, SceneRegion, Thresholds};
 pub use surface::{Aabb, CheckReport, Surface, Unit};

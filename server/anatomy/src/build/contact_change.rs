@@ -161,7 +161,8 @@ fn apart(patches: &[Patch], cells: &Cells<'_>) -> Vec<Patch> {
 }
 
 fn area(patches: &[Patch]) -> f64 {
-    patches.iter().map(|p| p.1).sum::<f64>() * 1e6
+    // The sum of no numbers would be -0.
+    patches.iter().fold(0.0, |sum, p| sum + p.1) * 1e6
 }
 
 /// The patch nearest to the centre of all, in mm.

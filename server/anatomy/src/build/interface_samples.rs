@@ -37,7 +37,7 @@ pub(super) struct Sample {
     pub(super) distance: f64,
     /// Distance in m from the surface in the model of the region behind, and of the region before it; infinite where
     /// the model has none.
-    pub(super) from_region: [f64; 2],
+    pub(super) from_region: [f32; 2],
 }
 
 /// A layer that is thinner than the spacing.
@@ -73,7 +73,7 @@ pub(super) fn samples(interfaces: &Interfaces, model: &ModelSurfaces) -> Vec<Sam
                         let mut sample = measure(&p, interfaces, model.of(interface));
                         let regions = [sample.behind, sample.before];
                         sample.from_region =
-                            regions.map(|r| by_region.distance(&sample.at, r, interface));
+                            regions.map(|r| by_region.distance(&sample.at, r, interface) as f32);
                         sample
                     })
                     .collect()
@@ -197,6 +197,6 @@ fn measure(
         before,
         thin,
         distance,
-        from_region: [f64::INFINITY; 2],
+        from_region: [f32::INFINITY; 2],
     }
 }

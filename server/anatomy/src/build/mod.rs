@@ -20,6 +20,7 @@ mod bvh;
 mod compare;
 mod component_loss;
 mod contact_change;
+mod deviations;
 mod faces;
 mod folds;
 mod grid;
@@ -105,7 +106,7 @@ pub fn build(
     input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
     let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &mut walls);
-    input_check::folds(input, &folds, &mut warnings);
+    let folded = input_check::folds(input, &folds, &mut warnings);
     prefer_voxels(&mut input_volumes, input);
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
@@ -176,10 +177,9 @@ pub fn build(
     });
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
-    input_check::regions(&regions, &mut warnings);
     input_check::hanging(&model, &mut warnings);
     let figures = figures(&model, &faces, &names);
-    let report = BuildReport {
+    let mut report = BuildReport {
         nodes: model.nodes.len(),
         cells: model.cells.len(),
         layers: figures.layers,
@@ -199,8 +199,12 @@ pub fn build(
         component_loss: component_loss::losses(&overlap.components, &names, CRUMB_MM3),
         contacts: contact_change::contacts(&grid, &samples, &faces, &model.nodes, &names),
         topology_hash: figures.topology_hash,
+        deviations: 0,
         warnings,
     };
+    let deviations = deviations::deviations(&report, &folded, &input.scene.thresholds);
+    report.deviations = folded.len() + deviations.len();
+    report.warnings.extend(deviations);
     progress("done", 1.0);
     Ok((model, report))
 }

@@ -12,7 +12,7 @@ use super::faces::Face;
 use super::grid::Grid;
 use super::layers::surface_of;
 use super::rays::{Hits, Rays, cast, cast_at};
-use super::strands::{RAYS_PER_CELL, Strand, Strands};
+use super::strands::{RAYS_PER_CELL, Strand, Strands, Touching};
 use crate::Surface;
 use crate::labels::{Affine, VoxelRuns};
 
@@ -110,10 +110,10 @@ impl InputRays {
         }
     }
 
-    /// Rays along the rows of a label volume, no farther apart than those through surfaces.
+    /// Rays along the rows of a label volume, at most half a spacing apart.
     pub(super) fn of_voxels(voxels: &VoxelRuns, spacing: f64) -> Self {
         let sides = voxels.to_world.spacing_m();
-        let split = [1, 2].map(|a| (sides[a] / spacing * RAYS_PER_CELL as f64).ceil().max(1.0));
+        let split = [1, 2].map(|a| (2.0 * sides[a] / spacing).ceil().max(1.0));
         // Rays are a unit apart in both directions.
         let scale = [1.0, split[0], split[1]];
         let to_world = Affine {
@@ -142,7 +142,7 @@ impl InputRays {
             (ends, strands)
         });
         Self {
-            strands: Strands::of_rows(count[0], rows.collect()),
+            strands: Strands::of_rows(count[0], rows.collect(), Touching::Edge),
             frame: Frame {
                 volume: to_world.determinant().abs(),
                 to_world,
@@ -310,4 +310,171 @@ fn merge(shared: &mut Vec<Shared>) {
         }
         same
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::faces::faces;
+    use super::super::tests::{both, built, cuboid};
+    use super::*;
+    use crate::LabelVolume;
+
+    fn mm(x: f64, y: f64, z: f64) -> Vec3 {
+        Vec3::new(x, y, z) * 1e-3
+    }
+
+    fn body() -> Surface {
+        cuboid(mm(-40.0, -40.0, -40.0), mm(40.0, 40.0, 40.0))
+    }
+
+    #[test]
+    fn dice_and_difference_are_those_of_a_shifted_box() {
+        let (low, high) = (mm(0.0, 0.0, 0.0), mm(40.0, 32.0, 24.0));
+        let still = cuboid(low, high);
+        let (model, report) = built(4.0, &[("box", still.clone())]);
+        assert!(report.regions[0].dice > 0.9999, "{report:?}");
+        // Exact along the rays, and to half a ray at each side across them.
+        for (shift, error) in [
+            (mm(5.0, 0.0, 0.0), 1e-3),
+            (mm(0.0, 6.0, 0.0), 1.0 / 32.0),
+            (mm(0.0, 0.0, -3.3), 1.0 / 24.0),
+        ] {
+            let moved = cuboid(low + shift, high + shift);
+            let grid = Grid::around(&[&still, &moved], 4e-3);
+            let rays = InputRays::of_surfaces(&grid, &[&moved]);
+            let volumes = rays.compare(&model, &faces(&model.cells)).volumes[0];
+            let size = high - low;
+            let common = (size - shift.abs()).product() / size.product();
+            assert!(
+                (volumes.dice() - common).abs() < error,
+                "{shift} {volumes:?} {common}"
+            );
+        }
+    }
+
+    #[test]
+    fn lost_component_and_its_distance_are_named_per_region() {
+        // A chip flush with the outer wall: the outer surface is near, that of its own region is not.
+        let bone = both(
+            cuboid(mm(-30.0, -20.0, -20.0), mm(0.0, 20.0, 20.0)),
+            &cuboid(mm(37.0, -1.5, -1.5), mm(40.0, 1.5, 1.5)),
+        );
+        let (_, report) = built(6.0, &[("body", body()), ("bone", bone)]);
+        let region = &report.regions[1];
+        assert!((region.volume_mm3 / region.input_volume_mm3 - 1.0).abs() < 0.01);
+        assert_eq!([region.components, region.input_components], [1, 2]);
+        let [lost] = report.component_loss.lost.as_slice() else {
+            panic!("{:?}", report.component_loss);
+        };
+        assert_eq!((lost.region.as_str(), lost.kept), ("bone", 0.0));
+        assert!((lost.volume_mm3 - 27.0).abs() < 1.0, "{lost:?}");
+        assert!(
+            (lost.at_mm[0] - 38.5).abs() < 0.1 && lost.at_mm[1].abs() < 1.5,
+            "{lost:?}"
+        );
+        let far = region.input_distance_max_mm.unwrap();
+        assert!((37.0..42.0).contains(&far), "{far}");
+        assert!(
+            report.regions[0].input_distance_max_mm.unwrap() < 6.0,
+            "{report:?}"
+        );
+        // Five sides of the chip touch the body, one is outside.
+        let [contact] = report.contacts.as_slice() else {
+            panic!("{:?}", report.contacts);
+        };
+        assert!((contact.removed_mm2 - 45.0).abs() < 9.0, "{contact:?}");
+        assert_eq!(contact.created_mm2, 0.0, "{contact:?}");
+        let named = |what: &str| report.warnings.iter().filter(|w| w.contains(what)).count();
+        assert_eq!(
+            named("a component of region \"bone\" of 27"),
+            1,
+            "{:?}",
+            report.warnings
+        );
+        assert_eq!(
+            named("surface in the input is up to"),
+            1,
+            "{:?}",
+            report.warnings
+        );
+        assert_eq!(named("do not in the model"), 1, "{:?}", report.warnings);
+        assert_eq!(report.deviations, 3, "{:?}", report.warnings);
+    }
+
+    #[test]
+    fn fused_bones_are_named_with_their_gap() {
+        let left = || cuboid(mm(-20.0, -15.0, -15.0), mm(0.1, 15.0, 15.0));
+        let right = || cuboid(mm(0.25, -15.0, -15.0), mm(20.0, 15.0, 15.0));
+        let (_, report) = built(
+            4.0,
+            &[("body", body()), ("femur", left()), ("tibia", right())],
+        );
+        let pair = ["femur".to_owned(), "tibia".to_owned()];
+        let contact = report.contacts.iter().find(|c| c.regions == pair);
+        let contact = contact.unwrap_or_else(|| panic!("{:?}", report.contacts));
+        assert_eq!(contact.input_mm2, 0.0);
+        assert_eq!(contact.created_mm2, contact.model_mm2);
+        assert!(
+            (400.0..1000.0).contains(&contact.created_mm2),
+            "{contact:?}"
+        );
+        assert!(
+            (contact.gap_min_mm.unwrap() - 0.15).abs() < 0.01,
+            "{contact:?}"
+        );
+        assert!(contact.created_at_mm.unwrap()[0].abs() < 2.0, "{contact:?}");
+        assert!(
+            report.component_loss.merged.is_empty(),
+            "{:?}",
+            report.component_loss
+        );
+
+        let (_, report) = built(4.0, &[("body", body()), ("bone", both(left(), &right()))]);
+        let [merged] = report.component_loss.merged.as_slice() else {
+            panic!("{:?}", report.component_loss);
+        };
+        assert!(
+            (merged.component.volume_mm3 - 19.75 * 900.0).abs() < 200.0,
+            "{merged:?}"
+        );
+        let places = [merged.component.at_mm[0], merged.with_mm[0]];
+        assert!(
+            (places[0] - 10.125).abs() < 0.1 && (places[1] + 9.95).abs() < 0.1,
+            "{merged:?}"
+        );
+        assert!(report.component_loss.lost.is_empty());
+    }
+
+    #[test]
+    fn voxels_that_share_an_edge_are_one_component_and_those_that_share_a_corner_are_not() {
+        // From the voxel at (1, 1, 1), the other one is one step away along these axes.
+        let steps = (1..27).map(|n| [n % 3, n / 3 % 3, n / 9]);
+        for step in steps.filter(|s| *s != [1, 1, 1]) {
+            let mut labels = vec![0_u16; 27];
+            labels[13] = 1;
+            labels[step[0] + 3 * step[1] + 9 * step[2]] = 1;
+            let volume = LabelVolume {
+                size: [3; 3],
+                labels,
+                to_world: Affine {
+                    linear: Matrix3::identity() * 2e-3,
+                    origin: mm(10.0, 0.0, 0.0),
+                },
+                warnings: Vec::new(),
+            };
+            let region = crate::labels::LabelRegion { labels: vec![1] };
+            let voxels = crate::labels::voxel_runs(&volume, "a.nii".as_ref(), &[region]).unwrap();
+            for spacing in [1e-3, 4e-3] {
+                let components = InputRays::of_voxels(&voxels, spacing).components(&[]);
+                let away = step.iter().filter(|s| **s != 1).count();
+                assert_eq!(
+                    components.len(),
+                    if away == 3 { 2 } else { 1 },
+                    "{step:?} {spacing}"
+                );
+                let volume: f64 = components.iter().map(|c| c.volume).sum();
+                assert!((volume * 1e9 - 16.0).abs() < 1e-9, "{step:?} {volume}");
+            }
+        }
+    }
 }

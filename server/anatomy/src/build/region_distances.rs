@@ -82,7 +82,7 @@ pub(super) fn from_model(samples: &[Sample], regions: usize) -> Vec<Option<Dista
             .zip(sample.from_region)
         {
             if let Some(found) = found.get_mut(usize::from(region)) {
-                found.push((distance as f32, sample.area as f32));
+                found.push((distance, sample.area as f32));
             }
         }
     }

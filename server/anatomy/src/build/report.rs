@@ -44,6 +44,9 @@ pub struct BuildReport {
     pub contacts: Vec<ContactReport>,
     /// Topology hash of the uncut model, hexadecimal.
     pub topology_hash: String,
+    /// Number of warnings about faulty input surfaces, and about deviations beyond the thresholds of the scene.
+    #[serde(default)]
+    pub deviations: usize,
     /// Warnings for the user, one sentence each.
     pub warnings: Vec<String>,
 }

@@ -29,6 +29,15 @@ pub(super) struct Strand {
 /// The strands of a row of rays, and their number up to the end of each ray.
 pub(super) type Row = (Vec<u32>, Vec<Strand>);
 
+/// How strands side by side are connected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Touching {
+    /// By a common face: neighbouring rays have a stretch in common.
+    Face,
+    /// By a common face or edge, as voxels are.
+    Edge,
+}
+
 /// The strands of parallel rays, overlaps resolved.
 pub(super) struct Strands {
     /// Rays of a row.
@@ -59,14 +68,12 @@ impl Strands {
         let [width, height] = rays.count;
         let at = |depth: f64| (depth - origin) / unit;
         let rows = (0..height).into_par_iter();
-        Self::of_rows(
-            width,
-            rows.map(|v| row(hits, rays, v, &at)).collect::<Vec<_>>(),
-        )
+        let rows: Vec<Row> = rows.map(|v| row(hits, rays, v, &at)).collect();
+        Self::of_rows(width, rows, Touching::Face)
     }
 
     /// The strands of rows of `width` rays each.
-    pub(super) fn of_rows(width: usize, rows: Vec<Row>) -> Self {
+    pub(super) fn of_rows(width: usize, rows: Vec<Row>, touching: Touching) -> Self {
         let mut this = Self {
             width,
             start: vec![0],
@@ -78,7 +85,7 @@ impl Strands {
             this.start.extend(ends.iter().map(|e| before + e));
             this.all.append(&mut strands);
         }
-        this.join();
+        this.join(touching);
         this
     }
 
@@ -105,27 +112,48 @@ impl Strands {
     }
 
     /// Connects adjacent strands.
-    fn join(&mut self) {
+    fn join(&mut self, touching: Touching) {
         let mut sets = Sets::new(self.all.len());
-        for ray in 0..self.start.len() - 1 {
-            if (ray + 1) % self.width != 0 {
-                self.join_rays(&mut sets, ray, ray + 1);
+        let (width, rays) = (self.width, self.start.len() - 1);
+        let edges = touching == Touching::Edge;
+        for ray in 0..rays {
+            let column = ray % width;
+            let above = ray + width < rays;
+            if column + 1 < width {
+                self.join_rays(&mut sets, [ray, ray + 1], edges);
             }
-            if ray + self.width < self.start.len() - 1 {
-                self.join_rays(&mut sets, ray, ray + self.width);
+            if above {
+                self.join_rays(&mut sets, [ray, ray + width], edges);
+            }
+            if edges && above && column + 1 < width {
+                self.join_rays(&mut sets, [ray, ray + width + 1], false);
+            }
+            if edges && above && column > 0 {
+                self.join_rays(&mut sets, [ray, ray + width - 1], false);
             }
         }
         let all = 0..self.all.len() as u32;
         self.parts = all.map(|strand| sets.find(strand)).collect();
     }
 
-    fn join_rays(&self, sets: &mut Sets, one: usize, other: usize) {
+    fn join_strands(&self, sets: &mut Sets, [a, b]: [usize; 2], ends: bool) {
+        let (s, t) = (&self.all[a], &self.all[b]);
+        let (from, to) = (s.from.max(t.from), s.to.min(t.to));
+        if s.region == t.region && (from < to || (ends && from <= to)) {
+            sets.join(a as u32, b as u32);
+        }
+    }
+
+    /// Connects the strands of two rays that have a stretch in common, or with `ends` at least an end.
+    fn join_rays(&self, sets: &mut Sets, [one, other]: [usize; 2], ends: bool) {
         let (one, other) = (self.range(one), self.range(other));
         let (mut a, mut b) = (one.start, other.start);
         while a < one.end && b < other.end {
             let (s, t) = (&self.all[a], &self.all[b]);
-            if s.region == t.region && s.from.max(t.from) < s.to.min(t.to) {
-                sets.join(a as u32, b as u32);
+            self.join_strands(sets, [a, b], ends);
+            // Where both end together, each also meets the next one of the other.
+            if ends && s.to == t.to && a + 1 < one.end {
+                self.join_strands(sets, [a + 1, b], ends);
             }
             if s.to < t.to {
                 a += 1;

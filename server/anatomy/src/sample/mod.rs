@@ -19,7 +19,7 @@ use palpate_tissue::file::write_file;
 use palpate_tissue::material::{MaterialOverride, nearest_name};
 
 use crate::InputError;
-use crate::scene::{RegionSource, Scene, SceneInput, SceneRegion};
+use crate::scene::{RegionSource, Scene, SceneInput, SceneRegion, Thresholds};
 use crate::surface::{Surface, Unit};
 
 /// A built-in sample.
@@ -84,6 +84,7 @@ impl Sample {
         let scene = Scene {
             spacing_m: body.spacing_m,
             auto_spacing: false,
+            thresholds: Thresholds::default(),
             pinned: body.pinned.iter().map(|&name| name.to_owned()).collect(),
             gravity_m_s2: [0.0; 3],
             regions: regions.collect(),

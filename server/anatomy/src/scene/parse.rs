@@ -13,11 +13,12 @@ use super::keys::Text;
 use super::materials::{MATERIAL_KEYS, change, materials};
 use super::{
     GRAVITY_MAX_M_S2, REGIONS_MAX, RegionSource, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneRegion,
+    Thresholds,
 };
 use crate::InputError;
 use crate::surface::Unit;
 
-const SCENE_KEYS: [&str; 8] = [
+const SCENE_KEYS: [&str; 9] = [
     "format",
     "spacing_mm",
     "spacing_min_mm",
@@ -25,6 +26,7 @@ const SCENE_KEYS: [&str; 8] = [
     "pinned",
     "gravity_m_s2",
     "region",
+    "report",
     "material",
 ];
 const REGION_KEYS: [&str; 6] = ["name", "surface", "label", "labels", "material", "unit"];
@@ -83,6 +85,7 @@ fn read(text: &Text, base: PathBuf) -> Result<Scene, InputError> {
         auto_spacing,
         gravity_m_s2: gravity(text, root, !pinned.is_empty())?,
         pinned,
+        thresholds: Thresholds::read(text, root)?,
         regions,
         materials,
         base,
