@@ -16,7 +16,7 @@ import numpy
 import scipy.ndimage
 import trimesh
 
-LINES = 400
+LINES = 800
 STEP_MM = 0.2
 COMPONENTS = 40
 POINTS = 20
@@ -110,17 +110,17 @@ def main(kind, folder, *rest):
     names, values = zip(*(pair.split("=", 1) for pair in pairs))
     source = Labels(volume, [int(v) for v in values]) if kind == "labels" else Surfaces(values)
     solids = [Solid(os.path.join(folder, f"region-{name}.stl")) for name in names]
-    low = numpy.min([s.low.min(axis=0) for s in solids], axis=0) - 2.0
-    high = numpy.max([s.high.max(axis=0) for s in solids], axis=0) + 2.0
-    sums = numpy.zeros((len(names), 3))
-    for x, y in random.uniform(low[:2], high[:2], (LINES, 2)):
-        heights = numpy.arange(low[2] + random.uniform(0.0, STEP_MM), high[2], STEP_MM)
-        for r, theirs in enumerate(source.regions(x, y, heights)):
-            ours = solids[r].contains(x, y, heights)
-            sums[r] += [theirs.sum(), ours.sum(), (theirs & ours).sum()]
     report = {}
     for r, name in enumerate(names):
-        report[name] = {"dice": float(2.0 * sums[r, 2] / sums[r, :2].sum())}
+        low = solids[r].low.min(axis=0) - 2.0
+        high = solids[r].high.max(axis=0) + 2.0
+        sums = numpy.zeros(3)
+        for x, y in random.uniform(low[:2], high[:2], (LINES, 2)):
+            heights = numpy.arange(low[2] + random.uniform(0.0, STEP_MM), high[2], STEP_MM)
+            theirs = source.regions(x, y, heights)[r]
+            ours = solids[r].contains(x, y, heights)
+            sums += [theirs.sum(), ours.sum(), (theirs & ours).sum()]
+        report[name] = {"dice": float(2.0 * sums[2] / sums[:2].sum())}
         if kind == "labels":
             report[name]["components"] = source.components(r, solids[r], random)
     json.dump(report, sys.stdout)

@@ -190,8 +190,8 @@ fn nibabel_label_volume_builds_to_its_voxel_volumes() {
     }
 }
 
-/// Largest difference of two Dice coefficients: that of 400 random lines.
-const DICE: f64 = 0.01;
+/// Largest difference of two Dice coefficients. Reason: three standard errors of 800 random lines through vessels.
+const DICE: f64 = 0.015;
 
 /// Builds regions, each with the lines of its source, and compares the report with that of independent packages.
 /// Returns both.

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::overlap::Component;
+use crate::scene::Thresholds;
 
 /// Most components that a report lists of each kind, the largest first; the rest is counted.
 pub const COMPONENTS_MAX: usize = 64;
@@ -61,11 +62,15 @@ pub(super) fn counts(components: &[Component], regions: usize) -> Vec<[usize; 2]
     counts
 }
 
-/// Lists the lost and the merged components of at least this volume.
-pub(super) fn losses(components: &[Component], names: &[String], least_mm3: f64) -> ComponentLoss {
+/// Lists the lost and the merged components from the volume on that the scene sets.
+pub(super) fn losses(
+    components: &[Component],
+    names: &[String],
+    thresholds: &Thresholds,
+) -> ComponentLoss {
     let mut large: Vec<&Component> = components
         .iter()
-        .filter(|c| c.volume * 1e9 >= least_mm3)
+        .filter(|c| c.volume * 1e9 >= thresholds.component_mm3)
         .collect();
     // A stable sort: equal volumes keep the order of the rays.
     large.sort_by(|a, b| b.volume.total_cmp(&a.volume));

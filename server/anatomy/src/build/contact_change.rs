@@ -56,8 +56,8 @@ impl Contacts {
         contacts
     }
 
-    fn of_pair(&self, pair: &Pair) -> &[Patch] {
-        self.0.get(pair).map_or(&[], Vec::as_slice)
+    fn of_pair(&self, pair: Pair) -> &[Patch] {
+        self.0.get(&pair).map_or(&[], Vec::as_slice)
     }
 }
 
@@ -120,7 +120,7 @@ pub(super) fn contacts(
         };
         Some((near, thin.beyond, (s.at, thin.thickness)))
     }));
-    let mut pairs: Vec<&Pair> = input.0.keys().chain(model.0.keys()).collect();
+    let mut pairs: Vec<Pair> = input.0.keys().chain(model.0.keys()).copied().collect();
     pairs.sort_unstable();
     pairs.dedup();
     let reports = pairs.into_iter().map(|pair| {

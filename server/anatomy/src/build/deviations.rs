@@ -5,18 +5,14 @@ use super::contact_change::ContactReport;
 use super::{BuildReport, RegionReport, ThinKind};
 use crate::scene::Thresholds;
 
-/// Most components that are named in warnings; the rest is counted.
+/// Most components of a kind, and most contacts, that are named in warnings; the rest is counted.
 const NAMED_MAX: usize = 10;
 
 /// Distance, in spacings, from which a region is reported unless the scene sets one.
 const DISTANCE_MAX: f64 = 2.0;
 
-/// The warnings about a report. `folded` are the regions whose input surface overlaps itself or is inside out in part.
-pub(super) fn deviations(
-    report: &BuildReport,
-    folded: &[usize],
-    thresholds: &Thresholds,
-) -> Vec<String> {
+/// Adds the warnings about a report to it. `folded` are the regions whose input surface overlaps itself or is inside out in part.
+pub(super) fn warn(report: &mut BuildReport, folded: &[usize], thresholds: &Thresholds) {
     let mut warnings = Vec::new();
     for (r, region) in report.regions.iter().enumerate() {
         let cause = if folded.contains(&r) {
@@ -30,7 +26,8 @@ pub(super) fn deviations(
     }
     of_components(&report.component_loss, &mut warnings);
     of_contacts(&report.contacts, thresholds, &mut warnings);
-    warnings
+    report.deviations = folded.len() + warnings.len();
+    report.warnings.append(&mut warnings);
 }
 
 /// Whether the report lists a part of the region that is thinner than the spacing.
@@ -126,6 +123,7 @@ fn of_components(loss: &ComponentLoss, warnings: &mut Vec<String>) {
 }
 
 fn of_contacts(contacts: &[ContactReport], thresholds: &Thresholds, warnings: &mut Vec<String>) {
+    let mut named = Vec::new();
     for contact in contacts {
         let [a, b] = &contact.regions;
         let place = |at: Option<[f64; 3]>| {
@@ -138,18 +136,23 @@ fn of_contacts(contacts: &[ContactReport], thresholds: &Thresholds, warnings: &m
                 Some(gap) => format!("{gap:.2} mm apart at least"),
                 None => "farther apart than the spacing".to_owned(),
             };
-            warnings.push(format!(
+            named.push(format!(
                 "regions {a:?} and {b:?} touch in the model on {:.1} mm²{}, where they are {gap} in the input",
                 contact.created_mm2,
                 place(contact.created_at_mm)
             ));
         }
         if contact.removed_mm2 > thresholds.contact_mm2 {
-            warnings.push(format!(
+            named.push(format!(
                 "regions {a:?} and {b:?} touch in the input on {:.1} mm²{}, where they do not in the model",
                 contact.removed_mm2,
                 place(contact.removed_at_mm)
             ));
         }
+    }
+    let more = named.len().saturating_sub(NAMED_MAX);
+    warnings.extend(named.into_iter().take(NAMED_MAX));
+    if more > 0 {
+        warnings.push(format!("{more} further contacts were created or removed"));
     }
 }

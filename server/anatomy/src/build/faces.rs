@@ -47,7 +47,8 @@ impl Face {
     /// Its middle, and its area in m².
     pub(super) fn middle_and_area(&self, positions: &[Vec3]) -> (Vec3, f64) {
         let [a, b, c, d] = self.corners(positions);
-        let area = ((b - a).cross(&(c - a)).norm() + (c - a).cross(&(d - a)).norm()) / 2.0;
+        let [p, q] = [(b, c), (c, d)].map(|(p, q)| (p - a).cross(&(q - a)).norm());
+        let area = f64::midpoint(p, q);
         ((a + b + c + d) / 4.0, area)
     }
 

@@ -5,6 +5,7 @@ use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::bvh::Bvh;
+use super::faces::Face;
 use super::interfaces::{Interfaces, halve, sides_of};
 use super::region_surfaces::ModelSurfaces;
 
@@ -52,7 +53,13 @@ pub(super) struct Thin {
 }
 
 /// Samples all interfaces of the input.
-pub(super) fn samples(interfaces: &Interfaces, model: &ModelSurfaces) -> Vec<Sample> {
+pub(super) fn samples(
+    interfaces: &Interfaces,
+    faces: &[Face],
+    positions: &[Vec3],
+    middle: Vec3,
+) -> Vec<Sample> {
+    let model = ModelSurfaces::new(interfaces, faces, positions, middle);
     let by_region = model.by_region();
     let mut samples = Vec::new();
     for interface in interfaces.all() {

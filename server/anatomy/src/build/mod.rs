@@ -64,7 +64,7 @@ pub use report::{
 };
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 
-use crate::scene::SceneInput;
+use crate::scene::{Scene, SceneInput};
 use crate::{Aabb, InputError, Surface};
 use grid::Grid;
 use palpate_tissue::cell::NO_CELL;
@@ -94,12 +94,7 @@ pub fn build(
     let mut warnings = input.warnings.clone();
 
     progress("measuring the input", 0.0);
-    let (spacing, spacing_search) = if input.scene.auto_spacing {
-        let (spacing, search) = spacing::find(&surfaces, input.scene.spacing_m);
-        (spacing, Some(search))
-    } else {
-        (input.scene.spacing_m, None)
-    };
+    let (spacing, spacing_search) = spacing_of(&input.scene, &surfaces);
     input_check::size(&surfaces, spacing)?;
     let grid = Grid::around(&surfaces, spacing);
     let query = inside::PointQuery::new(&surfaces, grid.middle(), spacing);
@@ -140,10 +135,7 @@ pub fn build(
 
     progress("looking for thin parts", 0.8);
     let nodes = &placed.positions;
-    let surfaces_of_model =
-        region_surfaces::ModelSurfaces::new(&interfaces, &faces, nodes, grid.middle());
-    let samples = interface_samples::samples(&interfaces, &surfaces_of_model);
-    drop(surfaces_of_model);
+    let samples = interface_samples::samples(&interfaces, &faces, nodes, grid.middle());
     let mut collector = thin::Collector::of(&grid, &samples, &mending.crumbs, &lost, &parts);
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
@@ -159,12 +151,7 @@ pub fn build(
     model.resolve_fibres();
 
     progress("comparing with the input", 0.9);
-    let input_rays = match &input.voxels {
-        Some(voxels) => overlap::InputRays::of_voxels(voxels, spacing),
-        None => overlap::InputRays::of_surfaces(&grid, &surfaces),
-    };
-    let overlap = input_rays.compare(&model, &faces);
-    drop(input_rays);
+    let overlap = overlap::InputRays::of(input, &grid, &surfaces).compare(&model, &faces);
     let (regions, strays) = compare::regions(&compare::Compared {
         model: &model,
         around: &around,
@@ -179,6 +166,7 @@ pub fn build(
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     input_check::hanging(&model, &mut warnings);
     let figures = figures(&model, &faces, &names);
+    let thresholds = &input.scene.thresholds;
     let mut report = BuildReport {
         nodes: model.nodes.len(),
         cells: model.cells.len(),
@@ -196,17 +184,25 @@ pub fn build(
         },
         bars: figures.bars,
         thin: collector.finish(&names),
-        component_loss: component_loss::losses(&overlap.components, &names, CRUMB_MM3),
+        component_loss: component_loss::losses(&overlap.components, &names, thresholds),
         contacts: contact_change::contacts(&grid, &samples, &faces, &model.nodes, &names),
         topology_hash: figures.topology_hash,
         deviations: 0,
         warnings,
     };
-    let deviations = deviations::deviations(&report, &folded, &input.scene.thresholds);
-    report.deviations = folded.len() + deviations.len();
-    report.warnings.extend(deviations);
+    deviations::warn(&mut report, &folded, thresholds);
     progress("done", 1.0);
     Ok((model, report))
+}
+
+/// The spacing in m, and how it was found if the scene leaves it to the builder.
+fn spacing_of(scene: &Scene, surfaces: &[&Surface]) -> (f64, Option<SpacingReport>) {
+    if scene.auto_spacing {
+        let (spacing, search) = spacing::find(surfaces, scene.spacing_m);
+        (spacing, Some(search))
+    } else {
+        (scene.spacing_m, None)
+    }
 }
 
 /// A label volume is authoritative for the regions that it alone describes.

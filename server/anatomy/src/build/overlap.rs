@@ -1,8 +1,9 @@
 //! Volume that the model and its input have in common, and the connected components of the input.
 //!
-//! Parallel rays run through both, and stretches of one region in both are counted. Surfaces are sampled by sixteen
-//! rays per cell column. Label volumes are not sampled: every row of voxels has rays along it, so their volume is
-//! exact, and the model is measured against the voxels instead of the surface that was extracted from them.
+//! Parallel rays run through both, and stretches of one region in both are counted: sixteen rays per cell column, or
+//! along the rows of a label volume. The model is then measured against the voxels instead of the surface that was
+//! extracted from them. The distance of these rays is no whole fraction of a voxel, so that they meet the steps between
+//! rows at all heights; rays in the middle of voxels would never see them. Components of labels are exact.
 
 use nalgebra::Matrix3;
 use palpate_tissue::{Model, RegionId, Vec3};
@@ -15,6 +16,7 @@ use super::rays::{Hits, Rays, cast, cast_at};
 use super::strands::{RAYS_PER_CELL, Strand, Strands, Touching};
 use crate::Surface;
 use crate::labels::{Affine, VoxelRuns};
+use crate::scene::SceneInput;
 
 /// The frame that the rays run in.
 struct Frame {
@@ -28,7 +30,21 @@ struct Frame {
 pub(super) struct InputRays {
     frame: Frame,
     strands: Strands,
+    /// Rows of voxels that the strands follow; without them there is a row per ray.
+    rows: Option<Rows>,
 }
+
+/// Rows of voxels.
+struct Rows {
+    to_world: Affine,
+    /// Along j and k.
+    count: [usize; 2],
+    /// Distance of rays in rows.
+    step: [f64; 2],
+}
+
+/// Distance of rays in parts of a row that several rays share evenly; an irrational number.
+const UNEVEN: f64 = 0.866_025_403_784_438_6;
 
 /// Volumes of a region in m³.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -86,8 +102,15 @@ pub(super) struct Overlap {
 }
 
 impl InputRays {
-    /// Rays through the surfaces of a scene.
-    pub(super) fn of_surfaces(grid: &Grid, surfaces: &[&Surface]) -> Self {
+    /// Rays through the voxels of a scene, or through its surfaces where not all regions come from one label volume.
+    pub(super) fn of(input: &SceneInput, grid: &Grid, surfaces: &[&Surface]) -> Self {
+        match &input.voxels {
+            Some(voxels) => Self::of_voxels(voxels, grid.spacing),
+            None => Self::of_surfaces(grid, surfaces),
+        }
+    }
+
+    fn of_surfaces(grid: &Grid, surfaces: &[&Surface]) -> Self {
         let step = grid.spacing / RAYS_PER_CELL as f64;
         // Along x: the cells were chosen by rays along z.
         let rays = Rays {
@@ -107,32 +130,32 @@ impl InputRays {
                 rays,
                 volume: step * step,
             },
+            rows: None,
         }
     }
 
-    /// Rays along the rows of a label volume, at most half a spacing apart.
-    pub(super) fn of_voxels(voxels: &VoxelRuns, spacing: f64) -> Self {
+    /// Rays along the rows of a label volume, at most half a spacing and at most a row apart.
+    fn of_voxels(voxels: &VoxelRuns, spacing: f64) -> Self {
         let sides = voxels.to_world.spacing_m();
-        let split = [1, 2].map(|a| (2.0 * sides[a] / spacing).ceil().max(1.0));
-        // Rays are a unit apart in both directions.
-        let scale = [1.0, split[0], split[1]];
+        let step = [1, 2].map(|a| UNEVEN / (2.0 * sides[a] / spacing).ceil().max(1.0));
+        // In the frame, rays are a unit apart. They begin beyond the image, where the model may end.
+        let scale = [1.0, step[0], step[1]];
         let to_world = Affine {
-            linear: Matrix3::from_fn(|r, c| voxels.to_world.linear[(r, c)] / scale[c]),
+            linear: Matrix3::from_fn(|r, c| voxels.to_world.linear[(r, c)] * scale[c]),
             origin: voxels.to_world.origin,
         };
-        let [each_j, each_k] = split.map(|n| n as usize);
-        let count = [voxels.size[1] * each_j, voxels.size[2] * each_k];
+        let margin = [0, 1].map(|a| (spacing / (sides[a + 1] * step[a])).ceil());
+        let count = [voxels.size[1], voxels.size[2]];
         let rays = Rays {
             axis: 0,
-            first: split.map(|n| (1.0 - n) / 2.0),
+            first: [0, 1].map(|a| 0.5 - margin[a] - 0.5 / step[a]),
             step: 1.0,
-            count,
+            count: [0, 1].map(|a| (count[a] as f64 / step[a] + 2.0 * margin[a]).ceil() as usize),
         };
-        let rows = (0..count[1]).into_par_iter().map(|v| {
+        let rows = (0..count[1]).into_par_iter().map(|k| {
             let (mut ends, mut strands) = (Vec::with_capacity(count[0]), Vec::new());
-            for u in 0..count[0] {
-                let runs = voxels.row([u / each_j, v / each_k]).iter();
-                strands.extend(runs.map(|run| {
+            for j in 0..count[0] {
+                strands.extend(voxels.row([j, k]).iter().map(|run| {
                     let [from, to] = run.range.map(|i| f64::from(i) - 0.5);
                     let region = run.region;
                     Strand { region, from, to }
@@ -148,16 +171,47 @@ impl InputRays {
                 to_world,
                 rays,
             },
+            rows: Some(Rows {
+                to_world: voxels.to_world,
+                count,
+                step,
+            }),
         }
+    }
+
+    /// The row of strands that a ray passes through; none beyond a label volume.
+    fn row_of(&self, ray: [usize; 2]) -> Option<[usize; 2]> {
+        let Some(rows) = &self.rows else {
+            return Some(ray);
+        };
+        let at = self.frame.rays.position(ray);
+        let row = [0, 1].map(|a| (at[a] * rows.step[a] + 0.5).floor());
+        let within = (0..2).all(|a| row[a] >= 0.0 && row[a] < rows.count[a] as f64);
+        within.then(|| row.map(|r| r as usize))
+    }
+
+    /// The position in the world at a depth of a row of strands.
+    fn point(&self, row: [usize; 2], depth: f64) -> Vec3 {
+        let (to_world, [y, z]) = match &self.rows {
+            Some(rows) => (&rows.to_world, row.map(|r| r as f64)),
+            None => (&self.frame.to_world, self.frame.rays.position(row)),
+        };
+        to_world.world(&Vec3::new(depth, y, z))
+    }
+
+    /// Volume in m³ that a unit of a strand stands for.
+    fn strand_volume(&self) -> f64 {
+        let rows = self.rows.as_ref();
+        rows.map_or(self.frame.volume, |rows| rows.to_world.determinant().abs())
     }
 
     /// Compares the model with the input.
     pub(super) fn compare(&self, model: &Model, faces: &[Face]) -> Overlap {
         let own = self.frame.strands_of(model, faces);
         let unit = self.frame.volume;
-        let rows: Vec<RowSums> = (0..self.strands.size()[1])
+        let rows: Vec<RowSums> = (0..self.frame.rays.count[1])
             .into_par_iter()
-            .map(|v| row_sums(&self.strands, &own, v, model.regions.len()))
+            .map(|v| self.row_sums(&own, v, model.regions.len()))
             .collect();
         let mut volumes = vec![Volumes::default(); model.regions.len()];
         for row in &rows {
@@ -178,6 +232,7 @@ impl InputRays {
     /// The components of the input, in the order of their first strands.
     fn components(&self, shared: &[Shared]) -> Vec<Component> {
         const NONE: u32 = u32::MAX;
+        let unit = self.strand_volume();
         let mut slots = vec![NONE; self.strands.len()];
         let mut components: Vec<Component> = Vec::new();
         let mut longest: Vec<f64> = Vec::new();
@@ -201,37 +256,30 @@ impl InputRays {
                     &mut longest[*slot as usize],
                 );
                 let length = strand.to - strand.from;
-                own.volume += length * self.frame.volume;
+                own.volume += length * unit;
                 if length > *longest {
                     *longest = length;
-                    own.at = self
-                        .frame
-                        .point([u, v], f64::midpoint(strand.from, strand.to));
+                    own.at = self.point([u, v], f64::midpoint(strand.from, strand.to));
                 }
             }
         }
         for same in shared.chunk_by(|a, b| a.input == b.input) {
             let own = &mut components[slots[same[0].input as usize] as usize];
-            let common: f64 = same.iter().map(|s| s.length).sum();
-            own.kept = common * self.frame.volume / own.volume;
+            let sum = |common: bool| -> f64 {
+                let lengths = same.iter().filter(|s| s.model.is_some() == common);
+                lengths.map(|s| s.length).sum()
+            };
+            own.kept = sum(true) / sum(false);
             // At equal volumes the first one, so that the result does not depend on the order of rows.
-            let most = same
-                .iter()
-                .rev()
-                .max_by(|a, b| a.length.total_cmp(&b.length));
-            own.within = most.map(|s| s.model);
+            let common = same.iter().rev().filter(|s| s.model.is_some());
+            let most = common.max_by(|a, b| a.length.total_cmp(&b.length));
+            own.within = most.and_then(|s| s.model);
         }
         components
     }
 }
 
 impl Frame {
-    /// The position in the world at a depth of a ray.
-    fn point(&self, ray: [usize; 2], depth: f64) -> Vec3 {
-        let [y, z] = self.rays.position(ray);
-        self.to_world.world(&Vec3::new(depth, y, z))
-    }
-
     /// The model along the rays.
     fn strands_of(&self, model: &Model, faces: &[Face]) -> Strands {
         let back = self
@@ -250,11 +298,11 @@ impl Frame {
     }
 }
 
-/// Length that a component of the input and one of the same region of the model have in common.
+/// Length of rays in a component of the input: of all, or of those in a component of the same region of the model.
 #[derive(Debug, Clone, Copy)]
 struct Shared {
     input: u32,
-    model: u32,
+    model: Option<u32>,
     length: f64,
 }
 
@@ -265,38 +313,57 @@ struct RowSums {
     shared: Vec<Shared>,
 }
 
-fn row_sums(input: &Strands, model: &Strands, v: usize, regions: usize) -> RowSums {
-    let mut sums = RowSums {
-        volumes: vec![Volumes::default(); regions],
-        shared: Vec::new(),
-    };
-    for u in 0..input.size()[0] {
-        for (strand, _) in input.of([u, v]) {
-            sums.volumes[usize::from(strand.region)].input += strand.to - strand.from;
-        }
-        for (strand, _) in model.of([u, v]) {
-            sums.volumes[usize::from(strand.region)].model += strand.to - strand.from;
-        }
-        let (mut theirs, mut ours) = (input.of([u, v]).peekable(), model.of([u, v]).peekable());
-        while let (Some((a, input)), Some((b, model))) = (theirs.peek(), ours.peek()) {
-            let length = a.to.min(b.to) - a.from.max(b.from);
-            if a.region == b.region && length > 0.0 {
-                sums.volumes[usize::from(a.region)].common += length;
-                sums.shared.push(Shared {
-                    input: *input,
-                    model: *model,
-                    length,
-                });
+impl InputRays {
+    fn row_sums(&self, model: &Strands, v: usize, regions: usize) -> RowSums {
+        let mut sums = RowSums {
+            volumes: vec![Volumes::default(); regions],
+            shared: Vec::new(),
+        };
+        for u in 0..self.frame.rays.count[0] {
+            for (strand, _) in model.of([u, v]) {
+                sums.volumes[usize::from(strand.region)].model += strand.to - strand.from;
             }
-            if a.to < b.to {
-                theirs.next();
-            } else {
-                ours.next();
+            if let Some(row) = self.row_of([u, v]) {
+                sums.add(self.strands.of(row), model.of([u, v]));
+            }
+        }
+        merge(&mut sums.shared);
+        sums
+    }
+}
+
+impl RowSums {
+    /// Adds a ray through input and model.
+    fn add<'a>(
+        &mut self,
+        input: impl Iterator<Item = (&'a Strand, u32)>,
+        model: impl Iterator<Item = (&'a Strand, u32)>,
+    ) {
+        let mut model = model.peekable();
+        for (a, part) in input {
+            self.volumes[usize::from(a.region)].input += a.to - a.from;
+            self.shared.push(Shared {
+                input: part,
+                model: None,
+                length: a.to - a.from,
+            });
+            while let Some((b, own)) = model.peek() {
+                let length = a.to.min(b.to) - a.from.max(b.from);
+                if a.region == b.region && length > 0.0 {
+                    self.volumes[usize::from(a.region)].common += length;
+                    self.shared.push(Shared {
+                        input: part,
+                        model: Some(*own),
+                        length,
+                    });
+                }
+                if a.to < b.to {
+                    break;
+                }
+                model.next();
             }
         }
     }
-    merge(&mut sums.shared);
-    sums
 }
 
 /// Sorts by components and adds up the lengths of equal pairs.
