@@ -20,6 +20,8 @@ use crate::labels::Sides;
 const PIECE_SIDE_MAX: f64 = 4.0;
 /// A piece of mixed kind is cut down to this side, in spacings.
 const PIECE_SIDE_MIN: f64 = 0.25;
+/// The same for a piece of one kind that has several regions on a side.
+const SIDES_PIECE_MIN: f64 = 0.5;
 /// Fraction of the way from the middle of a piece to its corners at which further probes are placed.
 const TOWARDS_CORNER: f64 = 0.9;
 /// Distance of the probes behind and before a piece, in spacings: far enough to clear rounding, near enough not
@@ -221,11 +223,14 @@ impl Sorter<'_> {
             let fine = fine && halve(&piece, PIECE_SIDE_MIN * self.spacing).is_none();
             let here = if fine { at_corners[0] } else { kind(middle) };
             let whole = piece == *corners && at_corners == [here; 3];
-            // Near the border between interfaces a piece may have mixed kinds.
+            // Near the border between interfaces a piece may have mixed kinds. Where only the regions on its sides
+            // differ, larger pieces will do.
+            let coarse = halve(&piece, SIDES_PIECE_MIN * self.spacing).is_some();
             let mixed = || {
                 (piece.iter())
                     .map(|p| middle.lerp(p, TOWARDS_CORNER))
-                    .any(|p| kind(p) != here)
+                    .map(kind)
+                    .any(|other| other != here && (coarse || !other.is_like(here)))
             };
             if !whole
                 && let Some(halves) = halve(&piece, PIECE_SIDE_MIN * self.spacing)
@@ -279,6 +284,18 @@ enum Kind {
     Outer { turned: bool, behind: u16 },
     Inner { turned: bool, before: u16 },
     Hidden,
+}
+
+impl Kind {
+    /// Whether two kinds differ in the regions on their sides only.
+    fn is_like(self, other: Self) -> bool {
+        match (self, other) {
+            (Self::Outer { turned: a, .. }, Self::Outer { turned: b, .. })
+            | (Self::Inner { turned: a, .. }, Self::Inner { turned: b, .. }) => a == b,
+            (Self::Hidden, Self::Hidden) => true,
+            _ => false,
+        }
+    }
 }
 
 /// Probes behind and before a point of the surface of `region`.

@@ -120,6 +120,7 @@ pub fn build(
     progress("sorting the interfaces", 0.2);
     let interfaces =
         interfaces::Interfaces::new(&surfaces, &input.sides, &query, spacing, grid.middle());
+    drop(query);
     let faces = faces::faces(&lattice.cells);
     let placed = position_nodes(
         &grid,
