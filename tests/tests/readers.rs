@@ -254,8 +254,8 @@ fn dice_and_lost_components_of_real_labels_agree_with_independent_packages() {
     /// Smallest component to compare in mm³: few enough that the report lists all.
     const LEAST: f64 = 400.0;
     let Some(data) = data() else { return };
-    let thigh = ["fat", "muscle", "bone"].as_slice();
-    let abdomen = [
+    let thigh: &[&str] = &["fat", "muscle", "bone"];
+    let abdomen: &[&str] = &[
         "skin",
         "fat",
         "muscle",
@@ -269,7 +269,7 @@ fn dice_and_lost_components_of_real_labels_agree_with_independent_packages() {
     ];
     for (file, names) in [
         ("leg_bp3d/thigh_labels_2mm.nii.gz", thigh),
-        ("abdomen_ct/abdomen_slab_organs_3mm.nii.gz", &abdomen),
+        ("abdomen_ct/abdomen_slab_organs_3mm.nii.gz", abdomen),
     ] {
         let volume = data.join(file).display().to_string();
         let regions: Vec<(&str, String, String)> = (1..)
