@@ -270,7 +270,8 @@ impl InputRays {
             let own = &mut components[slots[same[0].input as usize] as usize];
             let sum = |common: bool| -> f64 {
                 let lengths = same.iter().filter(|s| s.model.is_some() == common);
-                lengths.map(|s| s.length).sum()
+                // The sum of no numbers would be -0.
+                lengths.fold(0.0, |sum, s| sum + s.length)
             };
             own.kept = sum(true) / sum(false);
             // At equal volumes the first one, so that the result does not depend on the order of rows.
