@@ -106,6 +106,7 @@ impl ViewRecord {
             participant: t.participant.0,
             position_m: t.position.into(),
             stale: t.strength == 0.0,
+            inserted: t.is_inserted(),
         };
         Self {
             s_us: frame.s.as_micros(),
@@ -127,6 +128,8 @@ pub struct ToolRecord {
     pub position_m: [f64; 3],
     /// Whether its newest sample is too old to press.
     pub stale: bool,
+    /// Whether it is a needle in the tissue.
+    pub inserted: bool,
 }
 
 /// Counts of dropped items.

@@ -141,6 +141,9 @@ pub(crate) fn describe(summary: &BuildSummary) -> String {
     describe_quality(r, &mut text);
     describe_bars(r, &mut text);
     describe_thin_parts(r, &mut text);
+    for gap in &r.gaps {
+        let _ = writeln!(text, "gap: {gap}");
+    }
     for warning in &r.warnings {
         let _ = writeln!(text, "warning: {warning}");
     }

@@ -20,6 +20,7 @@ A scene names closed surfaces, or the labels of a segmentation. Surfaces are loo
   format = \"palpate-scene/1\"
   spacing_mm = 4.0                    # or \"auto\": as fine as the thinnest layers
   pinned = [\"femur\"]                  # regions that do not move
+  fuse = [[\"femur\", \"tibia\"]]         # optional: join these where less than a cell is between them
   gravity_m_s2 = [0.0, 0.0, -9.81]    # optional: the surfaces are the shape without it
   labels = \"segmentation.nii.gz\"      # for regions with a label
 

@@ -15,11 +15,12 @@ import meshio
 import nibabel
 import numpy
 import scipy
+import skfem
 import trimesh
 
 
 def versions():
-    modules = (meshio, trimesh, nibabel, numpy, scipy)
+    modules = (meshio, trimesh, nibabel, numpy, scipy, skfem)
     return {module.__name__: module.__version__ for module in modules}
 
 

@@ -20,12 +20,13 @@ use crate::criteria::{self, Expected};
 use crate::delay_figures::{self, DelayFigures};
 use crate::disagreement::{Disagreement, DisagreementPoint};
 use crate::force_error::over_script;
+use crate::insertions::Insertions;
 use crate::plots::{self, TraineeForces};
 use crate::progress::{Interrupt, Progress};
 use crate::reference::{Reference, ReferenceError};
 use crate::relay::{Profile, RelayStats};
 use crate::report::{CutLateness, CutReport, ReferenceReport, Report};
-use crate::scripts::{SECONDS_MAX, SECONDS_MIN};
+use crate::scripts::{Exercise, INSERTIONS, SECONDS_MAX, SECONDS_MIN};
 use crate::session::{Hosting, ParticipantResult, Session, SessionError};
 use crate::stress::{PROCESSES_MAX, Stress};
 use pair::{NAMES, Pair, SETTLE, START_LEAD, file_error, remove_dead};
@@ -60,6 +61,9 @@ pub struct DemoOptions {
     /// Both trainees cut across each other all the time, instead of one press and one cut
     #[arg(long)]
     pub crossing: bool,
+    /// The holder inserts a needle twice, instead of pressing a probe
+    #[arg(long, conflicts_with = "crossing")]
+    pub needle: bool,
     /// Show the session in a browser, as its instructor, and keep it open until Ctrl-C
     #[arg(long, value_name = "[ADDRESS:]PORT", num_args = 0..=1, default_missing_value = SERVER_VIEW, value_parser = parse_view)]
     pub view: Option<SocketAddr>,
@@ -72,6 +76,16 @@ pub struct DemoOptions {
     /// The share of the scripts after which the spectator joins
     #[arg(long, default_value_t = 0.4, hide = true)]
     pub late_join: f64,
+}
+
+impl DemoOptions {
+    fn exercise(&self) -> Exercise {
+        match (self.crossing, self.needle) {
+            (true, _) => Exercise::Crossing,
+            (false, true) => Exercise::Needle,
+            (false, false) => Exercise::Press,
+        }
+    }
 }
 
 /// Failure of a demo.
@@ -125,8 +139,8 @@ pub fn run(
     })?;
     let dir = options.report.as_deref().unwrap_or(scratch.path());
     std::fs::create_dir_all(dir).map_err(|source| file_error(dir, source))?;
-    let length = (options.seconds, options.crossing);
-    let pair = Pair::prepare(&options.model, length, dir, progress)?;
+    let scripts = (options.exercise(), options.seconds);
+    let pair = Pair::prepare(&options.model, scripts, dir, progress)?;
     let (played, mut session) = play(options, dir, &pair, progress, interrupt)?;
     let (run, reference) = if options.view.is_some() {
         let reference = pair.reference(&played.results, progress, interrupt)?;
@@ -311,6 +325,12 @@ fn conclude(
         boundary_closed: run.host.boundary_closed,
         late_ms: recordings.iter().map(|r| CutLateness::of(r)).collect(),
     };
+    if options.needle
+        && let Some(holder) = recordings.iter().find(|r| r.name == NAMES[0])
+    {
+        let seen = recordings.iter().map(|r| Insertions::of(r, holder));
+        report.insertions = seen.collect();
+    }
     let disagreement = Disagreement::between(&recordings);
     let pictures = draw(
         &recordings,
@@ -344,10 +364,16 @@ fn judge(report: &mut Report, options: &DemoOptions) {
             options.profile.name
         ));
     }
+    if options.needle {
+        let note =
+            "the residual of the reference is not judged with a needle; its estimated error is";
+        report.notes.push(note.to_owned());
+    }
     report.judge(&Expected {
         trainees: &NAMES,
         others: &[LATE_NAME],
         strokes,
+        insertions: if options.needle { INSERTIONS } else { 0 },
         delay_limit_ms,
         is_covered,
     });

@@ -295,6 +295,7 @@ mod tests {
                     participant: 1,
                     position_m: [x, 0.0, 0.0],
                     stale: false,
+                    inserted: false,
                 }],
                 nodes: vec![(7, (x * 1e3) as f32, 0.0, 0.0)],
                 topology_version: 0,

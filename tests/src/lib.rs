@@ -48,6 +48,7 @@ mod haptic_faults;
 mod headless_page;
 mod histogram;
 mod input_file;
+mod insertions;
 mod load_test;
 mod memory;
 mod name_suggestion;

@@ -14,6 +14,7 @@ use crate::delay_figures::DelayFigures;
 use crate::disagreement::{Disagreement, DistancesMm};
 use crate::dropout::Dropouts;
 use crate::force_error::ForceError;
+use crate::insertions::Insertions;
 use crate::reference::{Quality, Reference};
 use crate::relay::RelayStats;
 
@@ -32,6 +33,8 @@ pub struct Report {
     pub content_disagreement_mm: DistancesMm,
     pub network: RelayStats,
     pub cut: CutReport,
+    /// Insertions of the holder's needle, as each participant shows them; empty without a needle.
+    pub insertions: Vec<Insertions>,
     /// The playout delay D over the scripts; `None` when no view was recorded.
     pub delay: Option<DelayFigures>,
     pub cpu: Vec<CpuRow>,
@@ -309,6 +312,16 @@ impl fmt::Display for Brief<'_> {
                 f,
                 "cuts seen by {:<10} {} parts, behind the blade by {:.0} ms (median), {:.0} ms (95 %), {:.0} ms (largest)",
                 late.participant, late.parts, late.p50_ms, late.p95_ms, late.max_ms
+            )?;
+        }
+        for seen in &r.insertions {
+            let apart = seen
+                .apart_ms
+                .map_or("unknown".to_owned(), |ms| format!("{ms:.0} ms"));
+            writeln!(
+                f,
+                "needle seen by {:<9} {} insertions, at most {apart} apart from the holder at the same moment",
+                seen.participant, seen.count
             )?;
         }
         let cores = r

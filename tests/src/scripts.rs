@@ -12,6 +12,7 @@
 //! ```
 
 mod crossing;
+mod piercing;
 
 use std::sync::Arc;
 
@@ -21,6 +22,8 @@ use palpate_device::{Script, ScriptError};
 use palpate_tissue::{Model, Tissue, Topology, Vec3};
 
 use crate::tool_location::{SurfacePoint, ToolLocation};
+
+pub use piercing::INSERTIONS;
 
 /// Shortest scripts, s. In less time the stroke would be faster than a hand.
 pub const SECONDS_MIN: f64 = 4.0;
@@ -56,6 +59,17 @@ const STROKE_POINTS: usize = 24;
 
 /// Period of the slow motion while holding, s.
 const SWAY_PERIOD_S: f64 = 2.5;
+
+/// Exercise of the two trainees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Exercise {
+    /// The holder presses, and the cutter cuts.
+    Press,
+    /// Both cut across each other all the time.
+    Crossing,
+    /// The holder inserts a needle, and the cutter cuts.
+    Needle,
+}
 
 #[derive(Debug, Clone)]
 pub struct Scripts {
@@ -131,39 +145,36 @@ impl Path {
 impl Scripts {
     /// Scripts of `seconds` for the best location on a model, sagged by its weight.
     pub fn for_model(model: &Arc<Model>, seconds: f64) -> Result<Self, String> {
-        Self::at_best(model, |location| Self::for_location(location, seconds))
+        Self::of(Exercise::Press, model, seconds)
     }
 
-    /// The same for two trainees who cut across each other all the time.
-    pub fn crossing(model: &Arc<Model>, seconds: f64) -> Result<Self, String> {
-        Self::at_best(model, |location| {
-            let sizes = Sizes::of(location);
-            let blade = |is_across| crossing::blade(location, &sizes, seconds, is_across);
-            Ok(Self {
-                holder: blade(false)?,
-                cutter: blade(true)?,
-            })
-        })
-    }
-
-    fn at_best(
-        model: &Arc<Model>,
-        scripts: impl Fn(&ToolLocation) -> Result<Self, ScriptError>,
-    ) -> Result<Self, String> {
+    /// The same for an exercise.
+    pub fn of(exercise: Exercise, model: &Arc<Model>, seconds: f64) -> Result<Self, String> {
         let topology = Topology::new(Arc::clone(model));
         let mut location = ToolLocation::find(&topology)?;
         if model.gravity != [0.0; 3] {
             location.sag(&Tissue::at_rest(topology));
         }
-        scripts(&location).map_err(|e| format!("the generated scripts are invalid: {e}"))
+        let scripts = Self::at(&location, exercise, seconds);
+        scripts.map_err(|e| format!("the generated scripts are invalid: {e}"))
     }
 
     pub fn for_location(location: &ToolLocation, seconds: f64) -> Result<Self, ScriptError> {
+        Self::at(location, Exercise::Press, seconds)
+    }
+
+    fn at(location: &ToolLocation, exercise: Exercise, seconds: f64) -> Result<Self, ScriptError> {
         let sizes = Sizes::of(location);
-        Ok(Self {
-            holder: holder(location, &sizes, seconds)?,
-            cutter: cutter(location, &sizes, seconds)?,
-        })
+        let holder = match exercise {
+            Exercise::Press => holder(location, &sizes, seconds)?,
+            Exercise::Crossing => crossing::blade(location, &sizes, seconds, false)?,
+            Exercise::Needle => piercing::needle(location, &sizes, seconds)?,
+        };
+        let cutter = match exercise {
+            Exercise::Crossing => crossing::blade(location, &sizes, seconds, true)?,
+            Exercise::Press | Exercise::Needle => cutter(location, &sizes, seconds)?,
+        };
+        Ok(Self { holder, cutter })
     }
 }
 

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use super::bank::{Bank, CUTOFFS, Filters, PREDICTORS, Scores};
+use super::curvature::CurvatureShare;
 use super::kalman::Components;
 use crate::timeline::{Method, SAMPLES_MAX, Source, distance, from_unit, unit};
 use crate::verlet::{self, FIT_S, Fit, Knot, Vec3, WINDOW_S};
@@ -25,6 +26,8 @@ pub(super) struct Curve {
     samples: VecDeque<ToolSample>,
     /// The predictors and their errors, for the methods that weight them.
     bank: Option<Box<Bank>>,
+    /// Of [`Method::Chosen`] between samples.
+    share: CurvatureShare,
 }
 
 /// A pose as components, the quaternion with the sign nearer to `like`.
@@ -66,6 +69,7 @@ impl Curve {
             method,
             samples: VecDeque::new(),
             bank: None,
+            share: CurvatureShare::default(),
         }
     }
 
@@ -127,6 +131,29 @@ impl Curve {
             });
         }
         self.bank = Some(bank);
+        if self.method == Method::Chosen && self.share.is_due(sample.time) {
+            self.learn_share(sample.time);
+        }
+    }
+
+    /// Leaves out the samples within a window around one of them, and compares it with the curve of the others.
+    fn learn_share(&mut self, now: ServerTime) {
+        let window = Span::from_secs_f64(WINDOW_S);
+        let count = |edge| self.samples.partition_point(|s| s.time <= edge);
+        // Each edge is a window before the one after it: the end of the curve's last window is the newest sample.
+        let end = count(now - window).checked_sub(1);
+        let middle = end.and_then(|end| count(self.samples[end].time - window).checked_sub(1));
+        let start = middle.and_then(|middle| self.previous(middle));
+        let (Some(start), Some(middle), Some(end)) = (start, middle, end) else {
+            return;
+        };
+        let near = self.samples[end].time - self.samples[start].time <= JOINED_MAX;
+        if !near || self.previous(start).is_none() || self.next(end).is_none() {
+            return;
+        }
+        let sample = self.samples[middle];
+        let (line, curve) = self.verlet_between(start, end, sample.time, false);
+        self.share.learn(now, sample.pose.position_m, line, curve);
     }
 
     /// Pose, velocity, the sample whose buttons hold, and the source of the pose.
@@ -240,14 +267,38 @@ impl Curve {
         }
     }
 
-    /// The ends of the gap after number `i` without the noise of their rounding, each from its own side.
-    fn quiet_ends(&self, i: usize, k0: Knot, k1: Knot) -> (Knot, Knot) {
+    /// The straight line and Verlet's cubic at `t` between the samples `i` and `j`, from those outside of them; `raw`
+    /// without windows.
+    fn verlet_between(&self, i: usize, j: usize, t: ServerTime, raw: bool) -> (Vec3, Vec3) {
+        let origin = self.samples[i].time;
+        let (k0, k1) = (self.knot(i, origin), self.knot(j, origin));
+        let at = (t - origin).as_secs_f64();
+        let (before, after) = if raw {
+            let next = Some(j + 1).filter(|p| *p < self.samples.len());
+            (i.checked_sub(1), next)
+        } else {
+            (self.previous(i), self.next(j))
+        };
+        let a0 = before.map(|m| verlet::acceleration(self.knot(m, origin), k0, k1));
+        let a1 = after.map(|p| verlet::acceleration(k0, k1, self.knot(p, origin)));
+        let (a0, a1) = (a0.or(a1).unwrap_or_default(), a1.or(a0).unwrap_or_default());
+        let line = verlet::interpolate(k0, k1, [0.0; 3], [0.0; 3], at);
+        let (k0, k1) = if raw {
+            (k0, k1)
+        } else {
+            self.quiet_ends((i, k0), (j, k1))
+        };
+        (line, verlet::interpolate(k0, k1, a0, a1, at))
+    }
+
+    /// Both ends of a gap without the noise of their rounding, each from its own side.
+    fn quiet_ends(&self, (i, k0): (usize, Knot), (j, k1): (usize, Knot)) -> (Knot, Knot) {
         let origin = self.samples[i].time;
         let quiet = |k: Knot, fit: Option<Fit>| Knot {
             x: fit.map_or(k.x, |f| f.x),
             ..k
         };
-        let (before, after) = (self.fit_before(i, origin), self.fit_after(i + 1, origin));
+        let (before, after) = (self.fit_before(i, origin), self.fit_after(j, origin));
         (quiet(k0, before), quiet(k1, after))
     }
 
@@ -268,23 +319,13 @@ impl Curve {
         let joined = s1.time - s0.time <= JOINED_MAX;
         let method = if joined { self.method } else { Method::Linear };
         let position_m = match method {
-            Method::Verlet | Method::VerletRaw | Method::Kalman | Method::Chosen => {
+            Method::Verlet | Method::VerletRaw | Method::Kalman => {
                 let raw = method == Method::VerletRaw;
-                let (before, after) = if raw {
-                    let next = Some(i + 2).filter(|p| *p < self.samples.len());
-                    (i.checked_sub(1), next)
-                } else {
-                    (self.previous(i), self.next(i + 1))
-                };
-                let a0 = before.map(|m| verlet::acceleration(self.knot(m, s0.time), k0, k1));
-                let a1 = after.map(|p| verlet::acceleration(k0, k1, self.knot(p, s0.time)));
-                let (a0, a1) = (a0.or(a1).unwrap_or_default(), a1.or(a0).unwrap_or_default());
-                let (k0, k1) = if raw {
-                    (k0, k1)
-                } else {
-                    self.quiet_ends(i, k0, k1)
-                };
-                verlet::interpolate(k0, k1, a0, a1, at)
+                self.verlet_between(i, i + 1, t, raw).1
+            }
+            Method::Chosen => {
+                let (line, curve) = self.verlet_between(i, i + 1, t, false);
+                self.share.blend(line, curve)
             }
             Method::Hermite => {
                 let (v0, v1) = self.slopes(i);

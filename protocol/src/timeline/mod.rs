@@ -16,6 +16,7 @@
 //! on the noise of the device, the agility of the hand and the span.
 
 mod bank;
+mod curvature;
 mod curve;
 mod kalman;
 mod silence;
@@ -47,7 +48,8 @@ pub const SAMPLES_MAX: usize = 2048;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Method {
     /// Beyond the newest sample the mean of hold, linear, windowed Verlet and four Kalman filters, weighted
-    /// by their measured errors over such a span in this stream. Windowed Verlet between samples.
+    /// by their measured errors over such a span in this stream. Between samples windowed Verlet with the share of
+    /// its curvature that errs least in this stream.
     #[default]
     Chosen,
     /// The same of the Kalman filters alone.

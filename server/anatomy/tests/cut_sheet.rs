@@ -1,11 +1,12 @@
-//! The sheet of a cut over random strokes on the samples, and on a real thigh when `PALPATE_DATA` names its folder.
+//! The sheet of a cut over random strokes on the samples, and on a real thigh and torso when `PALPATE_DATA` names their
+//! folder.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 #[path = "../../tissue/tests/strokes/mod.rs"]
 mod strokes;
 
-mod real_thigh;
+mod real_models;
 
 use std::sync::Arc;
 
@@ -60,8 +61,16 @@ fn random_strokes_on_the_samples_keep_the_laws() {
 
 #[test]
 fn random_strokes_on_a_real_thigh_keep_the_laws() {
-    let Some(folder) = real_thigh::folder() else {
+    let Some(folder) = real_models::folder() else {
         return;
     };
-    check_model("real thigh", &real_thigh::scene(&folder), 200);
+    check_model("real thigh", &real_models::thigh(&folder), 200);
+}
+
+#[test]
+fn random_strokes_on_a_real_torso_keep_the_laws() {
+    let Some(folder) = real_models::folder() else {
+        return;
+    };
+    check_model("real torso", &real_models::torso(&folder), 100);
 }

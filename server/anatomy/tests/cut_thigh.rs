@@ -5,7 +5,7 @@
 #[path = "../../tissue/tests/cut_laws/mod.rs"]
 mod cut_laws;
 
-mod real_thigh;
+mod real_models;
 
 use std::sync::Arc;
 
@@ -14,7 +14,8 @@ use palpate_anatomy::{Surface, Unit, build};
 use palpate_tissue::cell::NO_CELL;
 use palpate_tissue::file::{ModelFile, decode_model, encode_model};
 use palpate_tissue::{
-    BladePoint, CutStroke, FaceId, Shape, Topology, Vec3, block, cut, edge_resistance,
+    BladePoint, Budget, CutStroke, EdgeTrack, FaceId, Shape, Tissue, Tool, Topology, Vec3, block,
+    cut, edge_resistance,
 };
 
 fn thigh() -> Topology {
@@ -166,13 +167,13 @@ fn clipped_volume_of_a_cube_is_exact() {
 /// A plane through fat and muscle in front of the femur, from end to end and side to side.
 #[test]
 fn cut_right_through_a_real_thigh_gives_the_exact_parts() {
-    let Some(folder) = real_thigh::folder() else {
+    let Some(folder) = real_models::folder() else {
         return;
     };
-    let (model, _) = build(&real_thigh::scene(&folder), &mut |_, _| ()).unwrap();
+    let (model, _) = build(&real_models::thigh(&folder), &mut |_, _| ()).unwrap();
     let uncut = Topology::new(Arc::new(model));
     let surfaces = ["skin", "muscle"].map(|part| {
-        let path = folder.join(format!("thigh_{part}.stl"));
+        let path = folder.join(format!("leg_bp3d/thigh_{part}.stl"));
         let mut surface = Surface::read(&path, Unit::Millimetre).unwrap();
         surface.check().unwrap();
         surface
@@ -232,6 +233,47 @@ fn cut_right_through_a_real_thigh_gives_the_exact_parts() {
     }
 }
 
+/// A ball beside a wound of two crossing strokes, and on the whole thigh, each pressed in at once.
+#[test]
+fn wounded_real_thigh_converges() {
+    let Some(folder) = real_models::folder() else {
+        return;
+    };
+    let (model, _) = build(&real_models::thigh(&folder), &mut |_, _| ()).unwrap();
+    let whole = Topology::new(Arc::new(model));
+    let mut wounded = whole.clone();
+    let along = incision(&whole, 0.4, 0.6, 0.025);
+    let middle = along.points[along.points.len() / 2];
+    let across = CutStroke {
+        points: (-8..=8)
+            .map(|i| BladePoint {
+                tip: middle.tip + Vec3::new(4e-3 * f64::from(i), 0.0, 2e-4),
+                ..middle
+            })
+            .collect(),
+        width_m: 0.0,
+    };
+    for stroke in [&along, &across] {
+        let outcome = cut(&mut wounded, stroke).unwrap();
+        assert!(outcome.doubled.len() > 20, "{}", outcome.doubled.len());
+    }
+    let skin = middle.tip + middle.axis * 0.025;
+    let [radius, depth] = [8e-3, 8e-3];
+    let beside = skin + Vec3::new(8e-3, 0.0, 8e-3);
+    for (name, topology) in [("whole", whole), ("wounded", wounded)] {
+        let mut tissue = Tissue::at_rest(topology);
+        let tool = Tool::ball(1, beside + middle.axis * (radius - depth), radius);
+        let report = tissue.step(&[tool], Budget::new(1500, 1e-6));
+        println!(
+            "{name}: residual {:.1e} after {} iterations",
+            report.residual, report.iterations
+        );
+        assert!(report.residual <= 1e-6 && !report.rolled_back, "{name}");
+        let force = report.reactions[0].force.norm();
+        assert!(force > 0.1, "{name}: {force} N");
+    }
+}
+
 /// Cells at the interface of fat and muscle are distorted, and a cut opens beside the edge.
 #[test]
 fn resistance_of_the_edge_is_continuous_in_a_thigh_before_and_after_a_cut() {
@@ -243,7 +285,7 @@ fn resistance_of_the_edge_is_continuous_in_a_thigh_before_and_after_a_cut() {
                 cut(&mut t, &stroke).unwrap();
             }
             let shape = Shape::rest(&t);
-            let (mut near, mut last) = (None, None::<f64>);
+            let (mut track, mut last) = (EdgeTrack::default(), None::<f64>);
             for pair in stroke.points.windows(2) {
                 let [a, b] = [pair[0], pair[1]];
                 for i in 0..20 {
@@ -253,7 +295,7 @@ fn resistance_of_the_edge_is_continuous_in_a_thigh_before_and_after_a_cut() {
                         axis: a.axis.lerp(&b.axis, share).normalize(),
                         depth_m: depth + 4e-3,
                     };
-                    let force = edge_resistance(&t, &shape, &blade, &mut near).newtons;
+                    let force = edge_resistance(&t, &shape, &blade, &mut track).newtons;
                     assert!(
                         last.is_none_or(|last| (force - last).abs() < 0.12),
                         "{last:?} {force}"

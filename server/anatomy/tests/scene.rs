@@ -96,7 +96,7 @@ fn scene_text_round_trip() {
 }
 
 /// Text to replace in [`THIGH`], its replacement, and words of the expected message.
-const MISTAKES: [(&str, &str, &[&str]); 34] = [
+const MISTAKES: [(&str, &str, &[&str]); 39] = [
     (
         "young_kpa = 10.0",
         "poisson = 0.5",
@@ -191,6 +191,31 @@ const MISTAKES: [(&str, &str, &[&str]); 34] = [
         &["line 3", "a list of region names, not string"],
     ),
     (
+        "pinned = [\"femur\"]",
+        "fuse = [[\"femur\", \"musle\"]]",
+        &["line 3", "fuse region \"musle\"", "did you mean \"muscle\""],
+    ),
+    (
+        "pinned = [\"femur\"]",
+        "fuse = [[\"femur\", \"hip\"]]",
+        &["line 3", "regions are subcutaneous, muscle, femur"],
+    ),
+    (
+        "pinned = [\"femur\"]",
+        "fuse = [\"femur\", \"muscle\"]",
+        &["line 3", "pairs of region names", "not string"],
+    ),
+    (
+        "pinned = [\"femur\"]",
+        "fuse = [[\"femur\"]]",
+        &["line 3", "\"fuse\" must be a list of pairs"],
+    ),
+    (
+        "pinned = [\"femur\"]",
+        "fuse = [[\"femur\", 2]]",
+        &["line 3", "not integer"],
+    ),
+    (
         "name = \"muscle\"",
         "name = \"femur\"",
         &["second region is named \"femur\""],
@@ -243,6 +268,15 @@ const MISTAKES: [(&str, &str, &[&str]); 34] = [
         &["line 21", "not valid TOML"],
     ),
 ];
+
+#[test]
+fn fused_pairs_name_regions_in_any_order() {
+    assert_eq!(parse(THIGH).unwrap().fuse, [[0_usize; 2]; 0]);
+    let line = "fuse = [[\"femur\", \"muscle\"], [\"muscle\", \"muscle\"]]\npinned =";
+    let scene = parse(&THIGH.replacen("pinned =", line, 1)).unwrap();
+    assert_eq!(scene.fuse, [[1, 2], [1, 1]]);
+    assert_eq!(parse(&scene.to_toml()).unwrap().fuse, scene.fuse);
+}
 
 #[test]
 fn errors_name_line_and_remedy() {

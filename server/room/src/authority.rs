@@ -18,12 +18,15 @@ use palpate_protocol::datagram::Corrections;
 use palpate_protocol::operation::OperationKind;
 use palpate_protocol::request::{CutRequest, RequestRefusal, TimedBladePoint};
 use palpate_protocol::session::Picture;
+use palpate_protocol::tool::part_owner;
 use palpate_protocol::{ParticipantId, RequestId, ServerTime, Span, TopologyHash};
 use palpate_tissue::snapshot::snapshot;
 use palpate_tissue::{
-    Budget, CutError, CutPreparer, Model, PreparedCut, Shape, Tissue, Tool, Topology, TopologyCut,
+    BladePoint, Budget, CutError, CutPreparer, Model, PreparedCut, Reaction, Shape, Tissue, Tool,
+    Topology, TopologyCut,
 };
 
+use crate::blades::Blades;
 use crate::convert;
 use crate::open_strokes::{OpenStrokes, RestPart};
 use crate::pictures::Pictures;
@@ -66,6 +69,8 @@ pub struct Settling {
     pub view_time: ServerTime,
     /// The tools that press at that time.
     pub tools: Vec<Tool>,
+    /// The edges of the blades that cut at that time, by participant.
+    pub blades: Vec<(ParticipantId, BladePoint)>,
     /// Whether one of them returns from a hold.
     pub returns: bool,
     /// Whether corrections are due.
@@ -105,6 +110,8 @@ pub enum TissueReport {
     Settled {
         /// Statistics of the tick.
         tick: TickReport,
+        /// Holders of the needles that the tissue holds from now on, by the decision of this shape.
+        inserted: Vec<ParticipantId>,
         /// Displacements for comparison by clients, if they were due.
         corrections: Option<Arc<Corrections>>,
         /// The surface, if it was due.
@@ -174,6 +181,7 @@ pub struct Authority {
     /// Times at which cuts take effect, by topology version. The prepared cut may arrive later.
     due: VecDeque<(u32, ServerTime)>,
     pictures: Pictures,
+    blades: Blades,
 }
 
 /// A cut for the cutter to prepare.
@@ -244,6 +252,7 @@ impl Authority {
             prepared: VecDeque::new(),
             due: VecDeque::new(),
             pictures: Pictures::default(),
+            blades: Blades::default(),
         };
         (authority, cutter)
     }
@@ -261,11 +270,15 @@ impl Authority {
             residual: report.residual,
             active_nodes: report.active_nodes,
         };
+        let inserted = report.reactions.iter().filter(|r| r.is_inserted);
+        let inserted = inserted.map(|r| part_owner(r.tool)).collect();
+        self.blades.follow(&order.blades, &self.tissue);
         self.view_time = order.view_time;
         let corrections = order.wants_corrections.then(|| self.corrections());
         let picture = (order.wants_picture).and_then(|due| self.picture(due));
         TissueReport::Settled {
             tick,
+            inserted,
             corrections: corrections.flatten().map(Arc::new),
             picture,
         }
@@ -274,6 +287,12 @@ impl Authority {
     /// The tissue at the newest tick.
     pub fn tissue(&self) -> &Tissue {
         &self.tissue
+    }
+
+    /// The reactions of the newest tick on all tools, cutting blades included.
+    pub fn reactions(&self) -> Vec<Reaction> {
+        let pressing = self.tissue.report().reactions.iter();
+        pressing.chain(&self.blades.reactions).cloned().collect()
     }
 
     /// Maps the stroke of a request to the rest frame.

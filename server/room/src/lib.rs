@@ -10,6 +10,7 @@
 
 mod admission;
 mod authority;
+mod blades;
 mod config;
 mod control_state;
 mod convert;

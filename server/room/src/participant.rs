@@ -9,7 +9,7 @@ use palpate_protocol::tool::{INSERTED_BUTTON, ToolDescription, ToolKind, ToolPar
 use palpate_protocol::{
     Emulation, ParticipantId, ResumeToken, Role, ServerTime, Span, TokenBucket,
 };
-use palpate_tissue::{Form, Needle, Tool, Vec3};
+use palpate_tissue::{BladePoint, Form, Needle, Tool, Vec3};
 
 use crate::PeerKey;
 use crate::admission::Admission;
@@ -319,18 +319,28 @@ impl Participant {
         tool.zip(shown)
     }
 
+    /// The edge of a cutting blade at time t; `None` for any other tool.
+    pub(crate) fn cutting_at(&mut self, t: ServerTime) -> Option<BladePoint> {
+        let (description, shown) = self.shown_at(t)?;
+        let is_cutting = is_cutting(&description, &shown) && shown.strength > 0.0;
+        is_cutting.then(|| BladePoint {
+            tip: shown.pose.position_m.into(),
+            axis: turn(&shown) * Vec3::z(),
+            depth_m: description.length_m,
+        })
+    }
+
     /// The parts of the tool that press at time t. Empty if there is no tool, no sample, only old samples, a cutting
     /// blade, or an inactive tool.
     pub(crate) fn pressing_at(&mut self, t: ServerTime) -> Vec<Tool> {
         let Some((description, shown)) = self.shown_at(t) else {
             return Vec::new();
         };
-        let held = shown.buttons & PRIMARY_BUTTON != 0;
-        if description.kind == ToolKind::Scalpel && held {
+        if is_cutting(&description, &shown) {
             return Vec::new();
         }
-        let [x, y, z, w] = shown.pose.orientation;
-        let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).unwrap_or_default();
+        let held = shown.buttons & PRIMARY_BUTTON != 0;
+        let turn = turn(&shown);
         let needle = (description.kind == ToolKind::Needle).then_some(Needle {
             is_inserted: shown.buttons & INSERTED_BUTTON != 0,
             decides: false,
@@ -348,4 +358,14 @@ impl Participant {
         };
         description.parts(held).enumerate().map(part).collect()
     }
+}
+
+/// Whether a tool is a blade whose main button is held.
+fn is_cutting(description: &ToolDescription, shown: &ShownPose) -> bool {
+    description.kind == ToolKind::Scalpel && shown.buttons & PRIMARY_BUTTON != 0
+}
+
+fn turn(shown: &ShownPose) -> UnitQuaternion<f64> {
+    let [x, y, z, w] = shown.pose.orientation;
+    UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).unwrap_or_default()
 }

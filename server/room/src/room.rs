@@ -344,6 +344,8 @@ impl Room {
             .values_mut()
             .flat_map(|p| p.pressing_at(view_time))
             .collect();
+        let edge = |p: &mut Participant| Some((p.id, p.cutting_at(view_time)?));
+        let blades = self.participants.values_mut().filter_map(edge).collect();
         let returns = |p: &mut Participant| {
             p.shown_at(view_time)
                 .is_some_and(|(_, shown)| shown.returns)
@@ -358,6 +360,7 @@ impl Room {
         self.orders.push_back(TissueOrder::Settle(Settling {
             view_time,
             tools,
+            blades,
             returns,
             wants_corrections,
             wants_picture: has_thin_subscriber.then_some(now),

@@ -99,7 +99,7 @@ pub(super) fn wound_triangles(topology: &Topology) -> BTreeMap<String, usize> {
 }
 
 /// Largest distance in mm from the swept surface of a node of the sheet that the last cut opened. Nodes of pinned
-/// regions do not move and are left out.
+/// regions do not move, and tissue parts from them where they are: both are left out.
 pub(super) fn path_distance_mm(
     topology: &Topology,
     outcome: &CutOutcome,
@@ -111,7 +111,13 @@ pub(super) fn path_distance_mm(
         let corners = topology.corners(face.cell());
         FACES[face.face()].map(|i| corners[i])
     });
-    let free = nodes.filter(|&n| !topology.is_pinned(n));
+    let from_bone = |new: u32| {
+        let pairs = outcome.doubled.iter();
+        pairs
+            .filter(|d| topology.is_pinned(d.1))
+            .any(|d| d.0 == new)
+    };
+    let free = nodes.filter(|&n| !topology.is_pinned(n) && !from_bone(n));
     let distances = free.filter_map(|n| surface.distance_m(&topology.rest(n)));
     distances.fold(0.0, f64::max) * MM
 }

@@ -8,7 +8,7 @@ use palpate_protocol::request::{Invitation, Request, RequestKind, RequestRefusal
 use palpate_protocol::session::{
     CloseReason, PeerEvent, PeerMessage, PeerMotion, REQUESTS_PER_SECOND_MAX,
 };
-use palpate_protocol::tool::{INSERTED_BUTTON, ToolDescription, ToolKind};
+use palpate_protocol::tool::{ToolDescription, ToolKind};
 use palpate_protocol::{
     Emulation, OperationId, ParticipantId, ProtocolError, RequestId, ServerTime, Span, TokenBucket,
     ToolSample, name,
@@ -307,8 +307,19 @@ impl Pages {
         player
             .tool
             .get_or_insert_with(|| SteeredTool::new(&newest.pose, now))
-            // No site decides for a page whether its needle is inserted.
-            .steer(&newest.pose, newest.buttons & !INSERTED_BUTTON, now);
+            .steer(&newest.pose, newest.buttons, now);
+    }
+
+    /// Notes whose needles the tissue holds.
+    pub(super) fn note_inserted(&mut self, inserted: &[ParticipantId]) {
+        for player in self.players.values_mut() {
+            let is_inserted = player
+                .participant
+                .is_some_and(|who| inserted.contains(&who));
+            if let Some(tool) = &mut player.tool {
+                tool.hold(is_inserted);
+            }
+        }
     }
 
     /// Time of the next [`handle_tick`](Self::handle_tick); `None` while no page holds a tool and no message waits.

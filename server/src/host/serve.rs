@@ -328,7 +328,10 @@ impl Session {
     fn handle_answer(&mut self, answer: Answer) {
         let us = u64::try_from(answer.took.as_micros()).unwrap_or(TICK_US_MAX);
         match &answer.report {
-            TissueReport::Settled { tick, .. } => {
+            TissueReport::Settled { tick, inserted, .. } => {
+                if let Some(pages) = &mut self.pages {
+                    pages.note_inserted(inserted);
+                }
                 self.ticks_us.saturating_record(us.max(1));
                 tracing::trace!(?tick, us, "tick");
             }

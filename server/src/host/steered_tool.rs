@@ -7,6 +7,7 @@
 use nalgebra::{Quaternion, UnitQuaternion};
 use palpate_device::Pose as DevicePose;
 use palpate_device::backend::pointer::Follower;
+use palpate_protocol::tool::INSERTED_BUTTON;
 use palpate_protocol::{Pose, ServerTime, Span, ToolSample};
 
 /// Time between two samples of a tool.
@@ -25,6 +26,8 @@ pub(super) struct SteeredTool {
     follower: Follower,
     goal: DevicePose,
     buttons: u8,
+    /// Whether it is a needle in the tissue.
+    is_inserted: bool,
     /// The newest pose of the page.
     heard: ServerTime,
     sampled: ServerTime,
@@ -38,6 +41,7 @@ impl SteeredTool {
             follower: Follower::new(start, SPEED_M_PER_S, TURN_RAD_PER_S),
             goal: start,
             buttons: 0,
+            is_inserted: false,
             heard: now,
             sampled: now,
         }
@@ -46,6 +50,11 @@ impl SteeredTool {
     /// Moves the tool to a pose.
     pub(super) fn steer(&mut self, pose: &Pose, buttons: u8, now: ServerTime) {
         (self.goal, self.buttons, self.heard) = (device_pose(pose), buttons, now);
+    }
+
+    /// Sets whether the tissue holds it, as a needle. A page has no tissue of its own, so the authoritative shape decides.
+    pub(super) fn hold(&mut self, is_inserted: bool) {
+        self.is_inserted = is_inserted;
     }
 
     /// Whether the page still sends poses.
@@ -73,10 +82,16 @@ impl SteeredTool {
                 position_m: position.into(),
                 orientation: orientation.coords.into(),
             },
-            buttons: self.buttons,
+            buttons: tool_buttons(self.buttons, self.is_inserted),
             force_n: None,
         })
     }
+}
+
+/// Buttons of a page and the state of its tool as in a sample.
+fn tool_buttons(held: u8, is_inserted: bool) -> u8 {
+    let held = held & !INSERTED_BUTTON;
+    held | if is_inserted { INSERTED_BUTTON } else { 0 }
 }
 
 fn device_pose(pose: &Pose) -> DevicePose {
@@ -96,6 +111,16 @@ mod tests {
             position_m: [x, 0.0, 0.0],
             ..Pose::IDENTITY
         }
+    }
+
+    #[test]
+    fn samples_carry_the_decision_of_the_tissue_and_none_of_the_page() {
+        let ms = |ms: i64| ServerTime::from_micros(1000 * ms);
+        let mut tool = SteeredTool::new(&at(0.0), ms(0));
+        tool.steer(&at(0.0), INSERTED_BUTTON | 2, ms(1));
+        assert_eq!(tool.poll(ms(10)).unwrap().buttons, 2);
+        tool.hold(true);
+        assert_eq!(tool.poll(ms(20)).unwrap().buttons, INSERTED_BUTTON | 2);
     }
 
     #[test]

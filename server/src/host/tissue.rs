@@ -153,7 +153,10 @@ impl Settler {
                         return;
                     }
                     if let Some(feed) = &mut self.feed {
-                        feed.show(self.authority.tissue(), order.view_time, order.returns);
+                        let tissue = self.authority.tissue();
+                        let at = (order.view_time, order.returns);
+                        let reactions = self.authority.reactions();
+                        feed.show_shape(tissue.topology(), tissue.shape(), at, &reactions);
                     }
                     let used = Span::from_micros((threads::worked_ns() - worked_ns) / 1000);
                     let rest = budget.charge(now_ns / 1000, used);

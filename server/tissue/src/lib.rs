@@ -62,8 +62,8 @@ pub use block::block;
 pub use cell::Cell;
 pub use contact::{Clearance, ContactPatch, Form, Needle, Reaction, ShaftReaction, Tool};
 pub use cut::{
-    BladePoint, CutError, CutOutcome, CutStroke, EdgeResistance, Moved, RestPoint, StrokePart,
-    SweptSurface, cut, edge_resistance, to_rest,
+    BladePoint, CutError, CutOutcome, CutStroke, EdgeResistance, EdgeTrack, Moved, RestPoint,
+    StrokePart, SweptSurface, cut, edge_resistance, to_rest,
 };
 pub use cut_history::CutHistory;
 pub use equilibrium::{

@@ -251,6 +251,30 @@ fn pinned_bone_stops_the_blade() {
     check_all(&t, &before);
 }
 
+/// A blade along x at a height, moved along y over a part of the block.
+fn level(height: f64, to: f64) -> CutStroke {
+    let at = |y: f64| Vec3::new(-D, y, height);
+    stroke(&[at(-D), at(to)], Vec3::x(), 10.0 * D)
+}
+
+#[test]
+fn blade_along_bone_parts_tissue_from_it() {
+    let bone = 3.0 * D;
+    for height in [bone + 0.2 * D, bone - 0.3 * D] {
+        let mut t = Topology::new(Arc::new(block([8, 8, 8], D, &cut_laws::rubber(), 3)));
+        let before = Outline::of(&t);
+        let outcome = cut(&mut t, &level(height, 9.0 * D)).unwrap();
+        assert_eq!(outcome.faces_opened, 64);
+        assert_eq!(outcome.doubled.len(), 81);
+        assert!(outcome.moved.is_empty());
+        assert_eq!(t.components(), 2);
+        for &(tissue, bone) in &outcome.doubled {
+            assert!(t.is_pinned(bone) && !t.is_pinned(tissue));
+        }
+        check_all(&t, &before);
+    }
+}
+
 #[test]
 fn wide_wound_opens_at_the_top_and_closes_at_the_front() {
     let mut t = topology([8, 8, 8], D);

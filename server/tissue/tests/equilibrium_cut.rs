@@ -122,3 +122,51 @@ fn solver_updated_by_a_cut_agrees_with_a_new_one() {
         "after following {followed} N, from scratch {cold} N"
     );
 }
+
+/// Nodes of the tissue cease to be pinned, beside others that stay.
+#[test]
+fn solver_follows_tissue_that_parts_from_bone() {
+    let base = SPACING;
+    let points = (0..=20).map(|i| BladePoint {
+        tip: Vec3::new(-SPACING, 3.0 * MM * f64::from(i - 1), base + 0.1 * SPACING),
+        axis: Vec3::x(),
+        depth_m: 0.7 * SPACING * CELLS[0] as f64,
+    });
+    let stroke = CutStroke {
+        points: points.collect(),
+        width_m: 0.0,
+    };
+    let ball = |depth: f64| {
+        let at = Vec3::new(0.3 * MIDDLE, MIDDLE, TOP + RADIUS - depth);
+        [Tool::ball(1, at, RADIUS)]
+    };
+    let mut followed = Tissue::at_rest(whole());
+    followed.step(&ball(2.0 * MM), Budget::new(1000, 1e-6));
+    let outcome = followed.cut(&stroke).unwrap();
+    let parted = outcome.doubled.iter().filter(|d| whole().is_pinned(d.1));
+    assert!(parted.count() > 200, "{}", outcome.doubled.len());
+    let mut rebuilt = Tissue::at_rest(Arc::clone(followed.topology()));
+    for tissue in [&mut followed, &mut rebuilt] {
+        for depth in [1.0, 2.0, 3.0] {
+            tissue.step(&ball(depth * MM), Budget::new(1000, 1e-6));
+            let report = tissue.report();
+            assert!(
+                report.residual <= 1e-6,
+                "{} after {}",
+                report.residual,
+                report.iterations
+            );
+        }
+    }
+    let [a, b] = [&followed, &rebuilt].map(|t| t.report().reactions[0].force);
+    assert!((a - b).norm() < 1e-4 * b.norm(), "{a} {b}");
+    let lifts = |t: &Tissue| {
+        let lift = outcome
+            .doubled
+            .iter()
+            .map(|d| t.shape().displacement[d.0 as usize].norm());
+        lift.fold(0.0, f64::max)
+    };
+    assert!(lifts(&followed) > 0.1 * MM, "{}", lifts(&followed));
+    assert!((lifts(&followed) - lifts(&rebuilt)).abs() < 1e-3 * MM);
+}

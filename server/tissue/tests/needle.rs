@@ -233,6 +233,30 @@ fn shape_that_follows_the_decision_of_another_has_the_same_forces() {
     );
 }
 
+/// The needle of a browser: its samples carry the decision of the server's shape, some steps late.
+#[test]
+fn late_decision_of_the_same_shape_inserts_and_withdraws() {
+    const LATE: usize = 12;
+    let mut bench = Bench::new();
+    let mut decided = vec![false; LATE];
+    let (mut held, mut pull) = (Vec::new(), 0.0_f64);
+    for k in 0..220 {
+        let way = f64::from(if k < 80 { k } else { (160 - k).max(-20) });
+        let tool = needle(over(0.0, 3.0 * MM - 0.25 * MM * way));
+        let needle = Some(Needle {
+            is_inserted: decided[decided.len() - LATE],
+            decides: false,
+        });
+        let reaction = bench.step(&Tool { needle, ..tool });
+        pull = pull.min(axial(reaction));
+        held.push(reaction.shaft.is_some());
+        decided.push(reaction.is_inserted);
+    }
+    let changes = held.windows(2).filter(|w| w[0] != w[1]).count();
+    assert_eq!((changes, held.last()), (2, Some(&false)), "{held:?}");
+    assert!(pull < -0.1 * CUTTING_N, "{pull}");
+}
+
 #[test]
 fn layer_of_tough_skin_gives_a_peak() {
     let mut model = block(CELLS, D, &material(), 1);

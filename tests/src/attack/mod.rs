@@ -35,7 +35,7 @@ use crate::memory::Memory;
 use crate::network::Profile;
 use crate::progress::{Interrupt, Progress};
 use crate::reference::Reference;
-use crate::scripts::{SECONDS_MAX, SECONDS_MIN};
+use crate::scripts::{Exercise, SECONDS_MAX, SECONDS_MIN};
 use crate::session::{HERE, Hosting, Participant, ParticipantResult, Session, SessionError};
 use crate::tool_location::{SurfacePoint, ToolLocation};
 use crew::Crew;
@@ -100,7 +100,7 @@ pub fn run(
     let scratch = tempfile::tempdir().map_err(|e| file_error(&std::env::temp_dir(), e))?;
     let pair = Pair::prepare(
         &options.model,
-        (options.seconds, false),
+        (Exercise::Press, options.seconds),
         scratch.path(),
         progress,
     )?;

@@ -1,11 +1,12 @@
 use palpate_client::Summary;
 use palpate_server::host::HostSummary;
 
-use super::Expected;
+use super::{Expected, INSERTION_APART_MS};
 use crate::cpu::CpuRow;
 use crate::delay_figures::DelayFigures;
 use crate::dropout::Dropouts;
 use crate::force_error::ForceError;
+use crate::insertions::Insertions;
 use crate::reference::Quality;
 use crate::report::{CutLateness, ParticipantReport, ReferenceReport, Report};
 
@@ -13,6 +14,7 @@ const EXPECTED: Expected<'_> = Expected {
     trainees: &["holder", "cutter"],
     others: &["spectator"],
     strokes: 1,
+    insertions: 0,
     delay_limit_ms: Some(20.0),
     is_covered: true,
 };
@@ -188,6 +190,38 @@ fn missing_cut_fails() {
     fails(|r| r.cut.late_ms[1].p50_ms = 1000.0, &behind);
     fails(|r| r.cut.late_ms[1].parts = 0, &behind);
     fails(|r| drop(r.cut.late_ms.remove(1)), &behind);
+}
+
+#[test]
+fn insertion_that_a_site_misses_fails() {
+    let seen = |name: &str, count, apart_ms| Insertions {
+        participant: name.to_owned(),
+        count,
+        apart_ms,
+    };
+    let failed = |holder: usize, cutter: Option<f64>| {
+        let mut report = good();
+        report.insertions = vec![
+            seen("holder", holder, Some(0.0)),
+            seen("cutter", 2, cutter),
+            seen("spectator", 1, Some(20.0)),
+        ];
+        report.judge(&Expected {
+            insertions: 2,
+            ..EXPECTED
+        });
+        let failed = report.criteria.into_iter().filter(|c| !c.ok);
+        failed.map(|c| c.criterion).collect::<Vec<_>>()
+    };
+    assert_eq!(failed(2, Some(INSERTION_APART_MS)), [""; 0]);
+    assert_eq!(
+        failed(1, Some(INSERTION_APART_MS)),
+        ["insertions of the needle"]
+    );
+    for apart in [Some(INSERTION_APART_MS + 1.0), None] {
+        let missed = "disagreement on the insertion, seen by the cutter";
+        assert_eq!(failed(2, apart), [missed]);
+    }
 }
 
 #[test]

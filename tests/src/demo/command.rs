@@ -14,7 +14,7 @@ pub(crate) const HELP: &str = concat!(
     "\
 The demo starts a server and two clients as separate processes, with an emulated network between them. Each client
 moves a simulated hand along a script: the holder presses and holds; the cutter presses, cuts between the two locations,
-and presses beside the wound. A spectator joins late. The reference simulates the same hands without a network; a force
+and presses beside the wound. With --needle the holder inserts a needle twice. A spectator joins late. The reference simulates the same hands without a network; a force
 that differs from it was changed by the network or by a slow machine.
 
 The demo takes the length of the scripts plus the time of the reference. It prints a summary of ten lines. The report
@@ -25,11 +25,13 @@ Each figure below that is missing or beyond its limit is a line \"FAILED: criter
   playout delay D 20 ms, or 1.3 times (round trip + 4 standard deviations of its jitter) if that is more; networks with
     bursts, steps or outages are not judged by D
   no demotion to spectator where round trip and jitter are below the 400 ms cap
+  with --needle: both insertions, and each site shows another state than the holder's for 100 ms at most
   no lost cut, no dead process, equal topologies, contact of both hands, nothing left out of recordings and reference
 
 Examples:
   palpate-lab demo                                      the thigh over the Atlantic, 20 s
   palpate-lab demo --profile lan --seed 2
+  palpate-lab demo --needle                             a needle, felt by its holder and seen by all
   palpate-lab demo --stress 2                           with two busy processes beside it
   palpate-lab demo --model scene.toml --seconds 60 --report out
   palpate-lab demo --json > report.json                 for programs: no files, no summary

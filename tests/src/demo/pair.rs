@@ -13,7 +13,7 @@ use crate::force_error::{ForceError, ForcePoint, over_script};
 use crate::progress::{Interrupt, Progress};
 use crate::reference::{self, Reference, ReferenceError, TimedCut};
 use crate::report::ParticipantReport;
-use crate::scripts::Scripts;
+use crate::scripts::{Exercise, Scripts};
 use crate::session::{Participant, ParticipantResult, Session, SessionError};
 use crate::test_model::TestModel;
 
@@ -34,20 +34,16 @@ pub(crate) struct Pair {
 }
 
 impl Pair {
-    /// Prepares a model and writes scripts of `seconds` for it into `dir`; with `crosses`, both trainees cut.
+    /// Prepares a model and writes scripts of `seconds` for an exercise on it into `dir`.
     pub(crate) fn prepare(
         model: &str,
-        (seconds, crosses): (f64, bool),
+        (exercise, seconds): (Exercise, f64),
         dir: &Path,
         progress: &mut Progress,
     ) -> Result<Self, DemoError> {
         progress.stage(&format!("preparing the model {model}"));
         let test_model = TestModel::prepare(model, dir)?;
-        let scripts = if crosses {
-            Scripts::crossing(&test_model.model, seconds)?
-        } else {
-            Scripts::for_model(&test_model.model, seconds)?
-        };
+        let scripts = Scripts::of(exercise, &test_model.model, seconds)?;
         let files = [&scripts.holder, &scripts.cutter].map(Script::to_toml);
         for (name, text) in NAMES.iter().zip(&files) {
             write(&script_file(dir, name), text)?;

@@ -21,6 +21,7 @@ Examples:
   palpate-lab run table-7-1 --motion hand.csv    columns time_s,x_m,y_m,z_m[,qw,qx,qy,qz]; see `palpate-lab hand`
   palpate-lab run replicas --seeds 1000 --real 20 --json
   palpate-lab run atc-adaptive --profile lan,lte one run per network
+  palpate-lab run validate --fine                finer spacings; minutes
   palpate-lab run mine.toml                      experiment and options from a file;
                                                  command-line options override the file's
   palpate-lab all --out report                   all experiments, and report/index.html with all tables and charts
@@ -28,7 +29,7 @@ Examples:
 
 An experiment file (its paths are relative to the file):
   experiment = \"table-7-1\"
-  seed = 7                                       also seeds, real, profile, model, if the experiment accepts them
+  seed = 7                                       also seeds, real, profile, model, fine, if the experiment accepts them
   motion = \"hand.csv\"
   profile = [\"lan\", \"mine-too.toml\"]             or a single one
 
@@ -51,6 +52,8 @@ An experiment file (its paths are relative to the file):
   cut-width     {experiment, cuts [{model, width_mm, depth_mm, pairs, on_law_percent, deviation_max_mm, ...}]}
   cut-gallery   {experiment, pictures [{picture, figure, faces, on_path_percent, off_path (spacings), components, quantity,
                 measured, expected}], quality [{model, refinement, cells, inverted, worst, p5, mean, shortest_spring}]}
+  validate      {experiment, limit_percent, fine, cases [{case, poisson, quantity, reference, expected, cells, error_percent,
+                order, extrapolated_percent, ok, runs [{spacing_mm, cells, nodes, measured, error_percent, ...}]}], ok, missed}
   on tissue     {experiment, spots | cases | materials | paths [{..., deviation {largest, n, rms, worst}}]}: largest force
                 (N) or torque (N m), rms and worst deviation from the converged solution as shares of it
 Over several networks: {networks [the figures of each, or profile and error], ok, missed}.

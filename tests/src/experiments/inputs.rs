@@ -31,6 +31,8 @@ pub enum Input {
     Real,
     Profile,
     Motion,
+    /// Finer spacings, which take minutes.
+    Fine,
 }
 
 impl Input {
@@ -43,6 +45,7 @@ impl Input {
             Self::Real => ("real", "has no real-time sessions"),
             Self::Profile => ("profile", "has no network or a fixed set of networks"),
             Self::Motion => ("motion", "has fixed tool paths"),
+            Self::Fine => ("fine", "has fixed spacings"),
         }
     }
 }
@@ -58,6 +61,7 @@ pub struct Inputs {
     pub real: Option<u64>,
     pub profile: Option<Profile>,
     pub motion: Option<Arc<Motion>>,
+    pub fine: bool,
     pub(super) safe_delays: SafeDelays,
 }
 
@@ -104,6 +108,7 @@ impl Inputs {
             seed: recipe.seed,
             seeds: recipe.seeds,
             real: recipe.real,
+            fine: recipe.fine,
             safe_delays: SafeDelays::default(),
         };
         if profiles.is_empty() {

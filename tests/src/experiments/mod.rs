@@ -35,6 +35,7 @@ mod table_7_1;
 mod thin;
 mod tissue;
 mod tool_paths;
+mod validate;
 
 use std::path::Path;
 

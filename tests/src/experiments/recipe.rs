@@ -8,6 +8,7 @@
 //! motion = "hand.csv"         # files are looked for beside this one
 //! profile = "transatlantic"   # or a list, for one run per network
 //! model = "thigh"
+//! fine = true                 # finer spacings
 //! ```
 
 use std::path::Path;
@@ -82,6 +83,10 @@ pub struct Recipe {
     /// Recorded hand motion, a table (.csv) or a recording (.json), instead of the default
     #[arg(long, value_name = "FILE")]
     pub motion: Option<String>,
+    /// Finer spacings, which take minutes
+    #[arg(long)]
+    #[serde(default)]
+    pub fine: bool,
 }
 
 impl Recipe {
@@ -119,10 +124,11 @@ impl Recipe {
             },
             trace_offset: self.trace_offset.or(file.trace_offset),
             motion: self.motion.or(file.motion),
+            fine: self.fine || file.fine,
         }
     }
 
-    pub(super) fn options(&self) -> [(Input, bool); 6] {
+    pub(super) fn options(&self) -> [(Input, bool); 7] {
         [
             (Input::Model, self.model.is_some()),
             (Input::Seed, self.seed.is_some()),
@@ -133,6 +139,7 @@ impl Recipe {
                 !self.profile.is_empty() || self.trace_offset.is_some(),
             ),
             (Input::Motion, self.motion.is_some()),
+            (Input::Fine, self.fine),
         ]
     }
 

@@ -1,10 +1,10 @@
 //! All experiments and benchmarks.
 
-use super::inputs::Input::{self, Model, Motion, Profile, Real, Seed, Seeds};
+use super::inputs::Input::{self, Fine, Model, Motion, Profile, Real, Seed, Seeds};
 use super::{
     Bench, Outcome, atc, atc_controllers, cut_force, cut_gallery, cut_methods, cut_time, cut_width,
     friction, handle, leg_press, missing_data, needle_force, press, replicas, scale, soft_hard,
-    table_7_1, thin, tool_paths,
+    table_7_1, thin, tool_paths, validate,
 };
 
 #[derive(Debug, Clone, Copy)]
@@ -34,6 +34,8 @@ macro_rules! experiments {
 
 /// All experiments in run order.
 pub const ALL: &[Experiment] = experiments! {
+    "validate", 20.0, [Fine], Work::Experiment(validate::run),
+        "the tissue beside closed forms, published solutions and finite elements: error per case";
     "soft-hard", 1.0, [], Work::Experiment(soft_hard::run),
         "a ball on soft tissue, on stiff tissue and between them (Lin 2007, fig 4.8)";
     "friction", 6.3, [], Work::Experiment(friction::run),

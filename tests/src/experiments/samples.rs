@@ -11,12 +11,11 @@ use crate::hand::Hand;
 /// Time span of the samples before a gap that a method may use, µs.
 pub(super) const HISTORY_US: i64 = 60_000;
 
-/// Methods of a kind. The predictors interpolate as windowed Verlet does.
+/// Methods of a kind. The Kalman filters interpolate as windowed Verlet does.
 pub(super) fn methods(interpolation: bool) -> impl Iterator<Item = Method> {
-    let predicts = |method: &Method| matches!(method, Method::Kalman | Method::Chosen);
     Method::ALL
         .into_iter()
-        .filter(move |method| !(interpolation && predicts(method)))
+        .filter(move |method| !(interpolation && *method == Method::Kalman))
 }
 
 pub(super) struct Sampled<'a> {

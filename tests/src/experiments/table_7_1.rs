@@ -4,13 +4,13 @@
 //! Without a given motion there are three hands, all with the same motion: a continuous one as of a haptic
 //! device, one recorded by a tracker of 100 Hz with 0.3 mm of noise, and one recorded by a master device of
 //! 30 Hz. A recording is compared with itself, noise included. Streams with a higher rate than the
-//! recording contain samples of a curve through it, so that their rows are marked as finer.
+//! recording contain samples of a curve through it, and a shorter gap than its period contains nothing else. Both are
+//! marked as finer.
 //!
 //! Gaps are stratified over the motion, one at a random time of each stratum, which avoids aliasing with
-//! periods of the motion. All samples before a gap are known for extrapolation, because predictors learn their
-//! errors, and 60 ms of them for interpolation, quantised as on the wire. Interpolation also has 60 ms of samples
-//! after the gap, from the first whole period at or beyond the gap's end. The timeline is compared with the true
-//! motion every half millisecond of the gap.
+//! periods of the motion. All samples before a gap are known, quantised as on the wire, because methods learn their
+//! errors. Interpolation also has 60 ms of samples after the gap, from the first whole period at or beyond the gap's
+//! end. The timeline is compared with the true motion every half millisecond of the gap.
 //!
 //! The orientation error is the angle of the rotation on SO(3) between shown and true orientation. Between
 //! samples all methods but hold use slerp; beyond them the latest angular velocity, or the Kalman filters.
@@ -51,7 +51,7 @@ type NamedHand = (&'static str, Arc<dyn Hand>);
 #[derive(Debug, Clone, Copy)]
 struct Row {
     hand: &'static str,
-    /// Whether the stream has a higher rate than the recording.
+    /// Whether stream or gap is finer than the recording.
     finer: bool,
     interpolation: bool,
     method: Method,
@@ -71,6 +71,15 @@ impl Row {
         } else {
             "extrapolation"
         }
+    }
+
+    /// Whether the stream has a higher rate than a recording, or the gap contains none of its samples. Intervals
+    /// of a recording vary by a tenth.
+    fn is_finer_than(&self, recording_hz: f64) -> bool {
+        let intervals = self.gap_ms as f64 * 1e-3 * recording_hz;
+        // The sample at the end of a gap is known for interpolation.
+        let inside = intervals > if self.interpolation { 1.1 } else { 0.9 };
+        f64::from(self.rate_hz) > 1.1 * recording_hz || !inside
     }
 
     fn json(&self) -> Value {
@@ -244,20 +253,15 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
 
 /// The recordings that have finer rows.
 fn warning(hands: &[NamedHand]) -> String {
-    let below = RATES_HZ[RATES_HZ.len() - 1];
+    let finest = f64::from(RATES_HZ[RATES_HZ.len() - 1]);
     let coarse = (hands.iter()).filter_map(|(name, hand)| {
-        let rate_hz = hand.rate_hz().filter(|rate| is_finer(below, *rate))?;
+        let rate_hz = hand.rate_hz().filter(|rate| *rate < finest)?;
         Some(format!(
-            " Warning: \"{name}\" was recorded at {rate_hz:.0} Hz. Rows with a higher rate, marked *, use a \
-             curve through its samples and say little about such a device."
+            " Warning: \"{name}\" was recorded at {rate_hz:.0} Hz. Figures of a higher rate or a shorter gap, \
+             marked *, use a curve through its samples and say little about such a device."
         ))
     });
     coarse.collect()
-}
-
-/// Whether a stream is finer than a recording, with a tolerance for intervals of varying length.
-fn is_finer(stream_hz: u32, recording_hz: f64) -> bool {
-    f64::from(stream_hz) > 1.1 * recording_hz
 }
 
 const COLUMNS: &[Column] = &[
@@ -285,7 +289,7 @@ fn by_gap(rows: &[Row]) -> Table {
         let key = [
             row.hand.to_owned(),
             row.kind().to_owned(),
-            format!("{}{mark}", row.rate_hz),
+            row.rate_hz.to_string(),
             row.method.name().to_owned(),
         ];
         // Rows of one method differ in the gap length; the order of the gaps is preserved.
@@ -294,7 +298,7 @@ fn by_gap(rows: &[Row]) -> Table {
             table.rows.push(key.into());
             table.rows.len() - 1
         });
-        table.rows[at].push(format!("{:.4}", row.rms_mm));
+        table.rows[at].push(format!("{:.4}{mark}", row.rms_mm));
     }
     table
 }
@@ -317,9 +321,9 @@ fn rows(
             for (sums, interpolation) in sums.iter().zip([false, true]) {
                 let filled = |(sum, _): &(&Sum, Method)| sum.n > 0;
                 for (sum, method) in sums.iter().zip(Method::ALL).filter(filled) {
-                    rows.push(sum.row(Row {
+                    let row = Row {
                         hand: name,
-                        finer: hand.rate_hz().is_some_and(|rate| is_finer(rate_hz, rate)),
+                        finer: false,
                         interpolation,
                         method,
                         rate_hz,
@@ -329,7 +333,9 @@ fn rows(
                         rms_deg: 0.0,
                         force_percent: 0.0,
                         n: 0,
-                    }));
+                    };
+                    let finer = hand.rate_hz().is_some_and(|rate| row.is_finer_than(rate));
+                    rows.push(sum.row(Row { finer, ..row }));
                 }
             }
         }
@@ -383,9 +389,8 @@ fn sums(
                 continue;
             }
             for (sums, missing_us) in sums.iter_mut().zip(missing) {
-                let mut timeline = Timeline::new(method, Span::from_micros(missing_us));
+                let mut timeline = timeline.clone();
                 let next = began + missing_us;
-                sampled.fill(&mut timeline, began - HISTORY_US, began)?;
                 sampled.fill(&mut timeline, next, next + HISTORY_US)?;
                 for (truth, t) in truth.iter().zip(steps()).filter(|(_, t)| *t < missing_us) {
                     let at = ServerTime::from_micros(began + t);
@@ -427,6 +432,8 @@ fn chart(name: &str, rows: &[Row]) -> Chart {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use palpate_device::backend::replay::Motion;
 
     use super::*;
@@ -470,13 +477,19 @@ mod tests {
             let rows = table(&*hand, 1, 100);
             for row in rows.iter().filter(|r| r.method == Method::Chosen) {
                 let of = |method| by(&rows, row, method);
-                let family = [Method::Hold, Method::Linear, Method::Verlet, Method::Kalman].map(of);
+                let others = methods(row.interpolation).filter(|method| {
+                    let family = [Method::Hold, Method::Linear, Method::Verlet, Method::Kalman];
+                    family.contains(method)
+                });
+                let family: Vec<Row> = others.map(of).collect();
                 let ratio = |part: fn(&Row) -> f64| {
                     part(row) / family.iter().map(part).fold(f64::MAX, f64::min)
                 };
                 let (place, turn) = (ratio(|r| r.rms_mm), ratio(|r| r.rms_deg));
                 let linear = row.rms_mm / of(Method::Linear).rms_mm;
-                if place > 1.05 || turn > 1.05 || linear > 1.02 {
+                // Between the samples of a recording there is no truth that the curvature could be learned from.
+                let is_best = place <= 1.05 || row.interpolation && row.finer;
+                if !is_best || turn > 1.05 || linear > 1.02 {
                     let key = (name, row.rate_hz, row.gap_ms);
                     worse.push(format!("{key:?}: {place:.3} {turn:.3}, linear {linear:.3}"));
                 }
@@ -488,14 +501,21 @@ mod tests {
     #[test]
     fn rows_finer_than_a_recording_are_marked() {
         let hands = built_in(1).unwrap();
-        let marked = |k: usize| -> Vec<u32> {
-            let rows = table(&*hands[k].1, 1, 2);
-            let of = |rate: &u32| rows.iter().any(|r| r.rate_hz == *rate && r.finer);
-            RATES_HZ.into_iter().filter(of).collect()
+        let clear = |k: usize, interpolation: bool| -> BTreeSet<(u32, i64)> {
+            let rows = table(&*hands[k].1, 1, 2).into_iter();
+            let clear = rows.filter(|r| !r.finer && r.interpolation == interpolation);
+            clear.map(|r| (r.rate_hz, r.gap_ms)).collect()
         };
-        assert_eq!(marked(0), [0; 0]);
-        assert_eq!(marked(1), [250, 500, 1000]);
-        assert_eq!(marked(2), RATES_HZ);
+        assert_eq!(clear(0, true).len(), RATES_HZ.len() * GAPS_MS.len());
+        assert_eq!(
+            clear(1, true),
+            [20, 33, 50, 100].map(|gap| (100, gap)).into()
+        );
+        assert_eq!(
+            clear(1, false),
+            [10, 20, 33, 50, 100].map(|gap| (100, gap)).into()
+        );
+        assert!(clear(2, true).is_empty());
         let said = warning(&hands);
         assert!(
             !said.contains("haptic") && said.contains("\"tracker\" was recorded at 100 Hz"),
@@ -516,7 +536,7 @@ mod tests {
     fn table_by_gap_has_one_row_per_method_and_one_cell_per_gap() {
         let rows = table(&Random::new(HandParameters::default(), 1), 1, 5);
         let table = by_gap(&rows);
-        assert_eq!(table.rows.len(), RATES_HZ.len() * (2 * METHODS - 2));
+        assert_eq!(table.rows.len(), RATES_HZ.len() * (2 * METHODS - 1));
         assert!(table.rows.iter().all(|row| row.len() == 4 + GAPS_MS.len()));
     }
 

@@ -1,13 +1,19 @@
+use palpate_device::HapticDevice;
+use palpate_device::backend::sim::{ScriptStart, SimHand};
+use palpate_haptics::{Chain, ChainConfig};
 use palpate_protocol::operation::CompensationMode;
 use palpate_site::RESYNCS_MAX;
 use palpate_tissue::{Material, Topology, block};
 
 use super::*;
+use crate::criteria::INSERTION_APART_MS;
 use crate::disagreement::Disagreement;
-use crate::force_error::{ForceError, over_script};
+use crate::dropout::Dropouts;
+use crate::force_error::{ForceError, ForcePoint, minus, norm, over_script};
+use crate::insertions::Insertions;
 use crate::network::{Link, Outage, Outages, Step, Steps};
 use crate::reference;
-use crate::scripts::Scripts;
+use crate::scripts::{Exercise, INSERTIONS, Scripts};
 use crate::tool_location::ToolLocation;
 
 fn model() -> Arc<Model> {
@@ -96,6 +102,42 @@ fn equal_seeds_give_equal_sessions_and_topologies_agree_at_the_end() {
     let b = simulate(&model, &scripts, &profile, 5);
     assert_eq!(a.recordings, b.recordings);
     assert_eq!(a.thin_results, b.thin_results);
+}
+
+#[test]
+fn needle_is_felt_by_its_holder_and_inserted_at_every_site() {
+    let model = model();
+    let scripts = Scripts::of(Exercise::Needle, &model, 8.0).unwrap();
+    let profile = Profile::named("transatlantic").unwrap();
+    let r = simulate(&model, &scripts, &profile, 5);
+    assert_eq!(r.troubles, Vec::<String>::new());
+    assert!(r.hashes_equal() && r.counters[0].cuts == 1);
+    for recording in &r.recordings {
+        let seen = Insertions::of(recording, &r.recordings[0]);
+        assert_eq!(seen.count as u64, INSERTIONS);
+        assert!(seen.apart_ms.unwrap() <= INSERTION_APART_MS, "{seen:?}");
+    }
+    // Every site solves the same tissue around the needle.
+    let d = Disagreement::between(&r.recordings.iter().collect::<Vec<_>>());
+    assert!(d.contents.p95 < 0.1, "{:?}", d.contents);
+    let holder = &r.recordings[0];
+    let felt = over_script(&holder.haptic, holder.script_started_us.unwrap());
+    let hands = [&scripts.holder, &scripts.cutter];
+    let reference = reference::run(&model, hands, &[], |_| true).unwrap();
+    let error = ForceError::between(&felt, &reference.forces[0]).unwrap();
+    assert!(error.rms_percent < 10.0, "{error:?}");
+    let dropouts = Dropouts::between(&felt, &reference.forces[0]).unwrap();
+    assert_eq!(dropouts.count, 0, "{dropouts:?}");
+    // A recording has every fourth tick.
+    let hand = SimHand::new(scripts.holder.clone(), ScriptStart::not_yet());
+    let limit_n = 4.0 * Chain::new(ChainConfig::default(), hand.caps()).slew_step_n();
+    for pair in felt.windows(2) {
+        let step_n = norm(minus(pair[1].force_n, pair[0].force_n));
+        assert!(step_n <= limit_n + 1e-9, "{step_n}");
+    }
+    // It pulls on the way out.
+    let pulls = |p: &ForcePoint| p.force_n[2] < -0.1 * error.max_n.max(0.2);
+    assert!(felt.iter().any(pulls));
 }
 
 fn scripts_of(model: &Arc<Model>, seconds: f64) -> Scripts {

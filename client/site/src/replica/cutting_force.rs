@@ -7,7 +7,7 @@
 //! and each new point would begin without stretch.
 
 use palpate_haptics::{ContactModel, Touch};
-use palpate_tissue::{BladePoint, Tissue, Vec3, edge_resistance};
+use palpate_tissue::{BladePoint, EdgeTrack, Tissue, Vec3, edge_resistance};
 
 use super::contact_model::MODEL_RADIUS_M;
 use crate::tools::ToolAt;
@@ -18,8 +18,7 @@ const YIELD_M: f64 = 1e-3;
 /// The resistance against the edge of the own blade.
 #[derive(Debug, Default)]
 pub(super) struct CuttingForce {
-    /// A cell at the edge in the latest solve.
-    near: Option<u32>,
+    track: EdgeTrack,
 }
 
 impl CuttingForce {
@@ -31,7 +30,7 @@ impl CuttingForce {
             axis,
             depth_m: tool.description.length_m,
         };
-        let edge = edge_resistance(tissue.topology(), tissue.shape(), &blade, &mut self.near);
+        let edge = edge_resistance(tissue.topology(), tissue.shape(), &blade, &mut self.track);
         if edge.newtons <= 0.0 {
             return;
         }

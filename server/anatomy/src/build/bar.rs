@@ -105,10 +105,13 @@ impl Grid {
             sums: vec![0; points.iter().product()],
             middle: std::array::from_fn(|a| 2 * sum[a] / count + 1 - 2 * i64::from(low[a])),
         };
+        let place = |at: [i32; 3]| std::array::from_fn(|a| (at[a] - low[a]) as usize + 1);
         for at in cells() {
-            let next = std::array::from_fn(|a| (at[a] - low[a]) as usize + 1);
-            let index = grid.index(next);
+            let index = grid.index(place(at));
             grid.sums[index] = 1;
+        }
+        for index in grid.beside_gaps(model, region, place) {
+            grid.sums[index] = 0;
         }
         let strides = [1, points[0], points[0] * points[1]];
         for (a, stride) in strides.into_iter().enumerate() {
@@ -119,6 +122,28 @@ impl Grid {
             }
         }
         Some(grid)
+    }
+
+    /// Cells that are no neighbours of a cell of the region in the next place: a gap parts them, and a bar.
+    fn beside_gaps(
+        &self,
+        model: &Model,
+        region: usize,
+        place: impl Fn([i32; 3]) -> [usize; 3],
+    ) -> Vec<usize> {
+        let mut beside = Vec::new();
+        for (cell, at) in cells_of(model, region) {
+            let at = place(at);
+            for face in (0..6).filter(|f| cell.neighbours[*f] == NO_CELL) {
+                let mut next = at;
+                next[face / 2] = next[face / 2] - 1 + face % 2 * 2;
+                let within = next[face / 2] < self.points[face / 2];
+                if within && self.sums[self.index(next)] != 0 {
+                    beside.push(self.index(at));
+                }
+            }
+        }
+        beside
     }
 
     fn index(&self, [x, y, z]: [usize; 3]) -> usize {

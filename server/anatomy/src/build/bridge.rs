@@ -10,7 +10,8 @@ use std::collections::{BTreeMap, BinaryHeap};
 
 use super::grid::Grid;
 use super::label::Labels;
-use super::lattice::{face_neighbours, pieces};
+use super::lattice::face_neighbours;
+use super::mending::pieces;
 use super::walls::{Share, Walls, in_margin};
 use crate::surface::Sets;
 

@@ -113,7 +113,7 @@ impl Bvh {
 
     /// The point nearest to `point` that is not farther than `reach` (m).
     pub(super) fn nearest(&self, point: &Vec3, reach: f64) -> Option<Vec3> {
-        self.nearest_tagged(point, reach, |_| true)
+        self.nearest_of(point, reach, |_| true)
     }
 
     /// The same on the triangles whose tag `accept` takes.
@@ -123,6 +123,19 @@ impl Bvh {
         reach: f64,
         accept: impl Fn(u16) -> bool,
     ) -> Option<Vec3> {
+        self.nearest_of(point, reach, |triangle| accept(triangle.tag))
+    }
+
+    /// The same on the triangles that face along `way`.
+    pub(super) fn nearest_facing(&self, point: &Vec3, reach: f64, way: &Vec3) -> Option<Vec3> {
+        self.nearest_of(point, reach, |triangle| {
+            let [a, b, c] = triangle.corners.map(|p| local(&p));
+            (b - a).cross(&(c - a)).dot(way) > 0.0
+        })
+    }
+
+    /// The same on the triangles that `accept` takes.
+    fn nearest_of(&self, point: &Vec3, reach: f64, accept: impl Fn(&Flat) -> bool) -> Option<Vec3> {
         if self.nodes.is_empty() {
             return None;
         }
@@ -143,9 +156,7 @@ impl Bvh {
                 let from = node.start as usize;
                 for triangle in &self.triangles[from..from + node.count as usize] {
                     let [a, b, c] = &triangle.corners;
-                    if !accept(triangle.tag)
-                        || box_of(&triangle.corners).distance_squared(&at) > best
-                    {
+                    if box_of(&triangle.corners).distance_squared(&at) > best || !accept(triangle) {
                         continue;
                     }
                     let candidate = nearest_on(&at, &[local(a), local(b), local(c)]);

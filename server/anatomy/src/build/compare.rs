@@ -21,8 +21,8 @@ use super::thin::Collector;
 /// A node farther than this from its interface, in spacings, is listed with its position.
 const STRAY: f64 = 0.5;
 
-/// Counts springs by kind. For each node the directions in which a cell has a spring form a mask of 27 bits,
-/// half of which belong to the other end.
+/// Counts springs by kind. Each node has up to 27 directions in which a cell has a spring, half of which belong to the
+/// other end.
 pub(super) fn count_springs(model: &Model, around: &[[u32; 8]], faces: &[Face]) -> SpringCounts {
     let mut interface = vec![false; model.nodes.len()];
     for node in faces
@@ -44,11 +44,13 @@ pub(super) fn count_springs(model: &Model, around: &[[u32; 8]], faces: &[Face]) 
         .enumerate()
         .map(|(node, cells)| {
             let mut counts = SpringCounts::default();
-            let mut seen = 0_u32;
+            let mut seen = [NO_CELL; 27];
+            // At the end of a gap two copies of a node are in one direction.
+            let mut copies: Vec<u32> = Vec::new();
             for (corner, &cell) in cells.iter().enumerate().filter(|(_, c)| **c != NO_CELL) {
                 for step in 1..8_usize {
-                    let to = model.cells[cell as usize].corners[corner ^ step] as usize;
-                    let code = (0..3).fold(0, |code, a| {
+                    let to = model.cells[cell as usize].corners[corner ^ step];
+                    let code: usize = (0..3).fold(0, |code, a| {
                         let way = match (step >> a & 1, corner >> a & 1) {
                             (0, _) => 1,
                             (_, 0) => 2,
@@ -57,13 +59,18 @@ pub(super) fn count_springs(model: &Model, around: &[[u32; 8]], faces: &[Face]) 
                         code * 3 + way
                     });
                     // Codes above the middle one lead to nodes of higher number.
-                    if code < 13 || seen >> code & 1 == 1 {
+                    if code < 13 || seen[code] == to || copies.contains(&to) {
                         continue;
                     }
-                    seen |= 1 << code;
-                    let both = interface[node] && interface[to];
+                    if seen[code] == NO_CELL {
+                        seen[code] = to;
+                    } else {
+                        copies.push(to);
+                    }
+                    let (here, there) = (interface[node], interface[to as usize]);
+                    let both = here && there;
                     match step.count_ones() {
-                        1 if interface[node] != interface[to] => counts.layer += 1,
+                        1 if here != there => counts.layer += 1,
                         1 => counts.structural += 1,
                         2 => counts.shear += 1,
                         _ => counts.body_diagonal += 1,

@@ -6,7 +6,8 @@ use rayon::prelude::*;
 
 use super::folds::{Fold, Folds};
 use super::inside::PointQuery;
-use super::lattice::Mending;
+use super::lattice::Lattice;
+use super::mending::Mending;
 use super::{BUILD_NODES_MAX, GRID_CELLS_MAX};
 use crate::scene::SceneInput;
 use crate::surface::in_mm;
@@ -197,7 +198,12 @@ pub(super) fn folds(
 }
 
 /// Warns of changes to the labels.
-pub(super) fn mending(mending: &Mending, cells: usize, warnings: &mut Vec<String>) {
+pub(super) fn mending(
+    mending: &Mending,
+    lattice: &Lattice,
+    cells: usize,
+    warnings: &mut Vec<String>,
+) {
     if mending.dropped.0 > 0 {
         warnings.push(format!(
             "{} small pieces with {} cells in all were dropped: they are too thin or too small at \
@@ -212,10 +218,8 @@ pub(super) fn mending(mending: &Mending, cells: usize, warnings: &mut Vec<String
              touched itself: the spacing is coarse for these shapes"
         ));
     }
-    if mending.pieces > 1 {
-        warnings.push(format!(
-            "the model is in {} separate pieces",
-            mending.pieces
-        ));
+    let pieces = lattice.pieces();
+    if pieces > 1 {
+        warnings.push(format!("the model is in {pieces} separate pieces"));
     }
 }

@@ -9,6 +9,7 @@ use std::collections::BTreeSet;
 use rayon::prelude::*;
 
 use super::folds::Folds;
+use super::gaps::{Parts, Run};
 use super::grid::Grid;
 use super::rays::{Hits, Rays, cast};
 use super::strands::{NOTHING, RAYS_PER_CELL, Strand, Strands};
@@ -42,25 +43,27 @@ impl Labels {
 /// Label, second label and margin of one cell.
 type Decision = [u8; 3];
 
-/// Classifies every cell of the grid, and passes the fills of inhomogeneous cells to `walls`.
-pub(super) fn label(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> Labels {
+/// Classifies every cell of the grid, and passes the fills of inhomogeneous cells to `walls`. Also returns the parts
+/// of the regions.
+pub(super) fn label(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> (Labels, Parts) {
     let [nx, ny, nz] = grid.cells;
     let strands = Strands::new(grid, surfaces);
     // One slab of constant y at a time; slabs are independent.
-    let slabs: Vec<(Vec<Decision>, Vec<Share>)> = (0..ny)
+    let slabs: Vec<(Vec<Decision>, Vec<Share>, Vec<Run>)> = (0..ny)
         .into_par_iter()
         .map(|j| {
             let mut decisions = vec![[0; 3]; nx * nz];
-            let mut shares = Vec::new();
+            let (mut shares, mut runs) = (Vec::new(), Vec::new());
             let mut column = Column::new(nz, surfaces.len());
             for i in 0..nx {
                 column.fill(&strands, [i, j]);
                 for k in 0..nz {
                     decisions[i + nx * k] = decide(column.part(k));
                 }
+                column.runs(i + nx * j, &mut runs);
                 column.shares(grid, [i, j], &mut shares);
             }
-            (decisions, shares)
+            (decisions, shares, runs)
         })
         .collect();
     let mut labels = Labels {
@@ -69,15 +72,17 @@ pub(super) fn label(grid: &Grid, surfaces: &[&Surface], walls: &mut Walls) -> La
         margin: vec![0; grid.cell_count()],
         held: BTreeSet::new(),
     };
-    for (j, (decisions, shares)) in slabs.into_iter().enumerate() {
+    let mut parts = Parts::new(strands.touching());
+    for (j, (decisions, shares, runs)) in slabs.into_iter().enumerate() {
         for (at, decision) in decisions.into_iter().enumerate() {
             let to = grid.cell_index([at % nx, j, at / nx]);
             [labels.label[to], labels.second[to], labels.margin[to]] = decision;
         }
         walls.add_shares(shares);
+        parts.add_runs(runs);
     }
     walls.sort();
-    labels
+    (labels, parts)
 }
 
 /// Fills of the cells of one column along z.
@@ -130,15 +135,39 @@ impl Column {
         }
     }
 
+    /// Whether one region fills cell `k` alone.
+    fn is_pure(&self, k: usize) -> bool {
+        let full = (RAYS_PER_CELL * RAYS_PER_CELL) as f64;
+        self.part(k).iter().any(|l| *l >= full * (1.0 - PURE))
+    }
+
+    /// Lists the parts that fill cells alone, each with the first cell of a run.
+    fn runs(&self, column: usize, runs: &mut Vec<Run>) {
+        // One ray passes all of these cells.
+        let mut last: Option<(u32, u32)> = None;
+        let sole = self.pieces.iter();
+        let sole = sole.filter(|p| p.3 > 0.5 && self.is_pure(p.0 as usize));
+        for &(k, label, part, _) in sole {
+            if last.is_some_and(|(before, ..)| k <= before) {
+                break;
+            }
+            if last.is_none_or(|(_, of)| of != part) {
+                runs.push(Run {
+                    column: column as u32,
+                    from: k,
+                    label,
+                    part,
+                });
+            }
+            last = Some((k, part));
+        }
+    }
+
     /// Lists the fills of each cell that is not filled by one region alone.
     fn shares(&mut self, grid: &Grid, [i, j]: [usize; 2], shares: &mut Vec<Share>) {
         let full = (RAYS_PER_CELL * RAYS_PER_CELL) as f64;
         let mut pieces = std::mem::take(&mut self.pieces);
-        pieces.retain(|p| {
-            self.part(p.0 as usize)
-                .iter()
-                .all(|l| *l < full * (1.0 - PURE))
-        });
+        pieces.retain(|p| !self.is_pure(p.0 as usize));
         pieces.sort_by_key(|p| (p.0, p.1, p.2));
         for same in pieces.chunk_by(|a, b| (a.0, a.1, a.2) == (b.0, b.1, b.2)) {
             let (k, label, part, _) = same[0];

@@ -3,7 +3,7 @@
 //! 1. A grid of cubes of side Δd is laid around the outermost surface.
 //! 2. Rays decide which region fills each cell ([`label`]). Thin layers and necks get the cells that they need
 //!    to stay connected ([`walls`], [`bridge`]). Doubtful cells are flipped until the surface of every region is a
-//!    manifold ([`lattice`]).
+//!    manifold ([`mending`]). Faces in gaps that no cell is empty for are opened ([`gaps`]).
 //! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
 //!    nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
 //! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and regions regain the volume that
@@ -19,10 +19,12 @@ mod bridge;
 mod bvh;
 mod compare;
 mod component_loss;
+mod constraint;
 mod contact_change;
 mod deviations;
 mod faces;
 mod folds;
+mod gaps;
 mod grid;
 mod input_check;
 mod inside;
@@ -31,6 +33,7 @@ mod interfaces;
 mod label;
 mod lattice;
 mod layers;
+mod mending;
 mod occupancy_grid;
 mod overlap;
 mod parts;
@@ -55,6 +58,7 @@ pub use component_loss::{
     COMPONENTS_MAX, CRUMB_MM3, ComponentLoss, ComponentReport, KEPT_MIN, MergedComponent,
 };
 pub use contact_change::ContactReport;
+pub use gaps::GapReport;
 pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
 pub(crate) use report::report_triangles;
@@ -106,13 +110,9 @@ pub fn build(
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
     progress("casting rays", 0.1);
-    let mut labels = label::label(&grid, &surfaces, &mut walls);
-    let mending = lattice::mend_all(&grid, &mut labels, &walls, &parts);
-    let lost = walls.lost(&grid, &labels);
-    drop(walls);
-    input_check::mending(&mending, grid.cell_count(), &mut warnings);
-    let mut lattice = lattice::number(&grid, &labels);
-    drop(labels);
+    let fused = &input.scene.fuse;
+    let (mut lattice, mending, lost) = numbered(&grid, &surfaces, walls, &parts, &query, fused);
+    input_check::mending(&mending, &lattice, grid.cell_count(), &mut warnings);
     if lattice.cells.is_empty() {
         return Err(input_check::too_coarse(&surfaces, spacing));
     }
@@ -141,6 +141,7 @@ pub fn build(
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
     drop(placed.constraints);
+    let opened = std::mem::take(&mut lattice.opened);
     let mut model = Model {
         spacing_m: spacing,
         gravity: input.scene.gravity_m_s2,
@@ -166,6 +167,7 @@ pub fn build(
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     input_check::hanging(&model, &mut warnings);
+    let gaps = gaps::reports(&model, &opened);
     let figures = figures(&model, &faces, &names);
     let thresholds = &input.scene.thresholds;
     let mut report = BuildReport {
@@ -187,6 +189,7 @@ pub fn build(
         thin: collector.finish(&names),
         component_loss: component_loss::losses(&overlap.components, &names, thresholds),
         contacts: contact_change::contacts(&grid, &samples, &faces, &model.nodes, &names),
+        gaps,
         topology_hash: figures.topology_hash,
         deviations: 0,
         warnings,
@@ -204,6 +207,29 @@ fn spacing_of(scene: &Scene, surfaces: &[&Surface]) -> (f64, Option<SpacingRepor
     } else {
         (scene.spacing_m, None)
     }
+}
+
+/// Labels the cells and numbers the lattice. Also returns the repairs of the labels, and the lost parts of the input.
+fn numbered(
+    grid: &Grid,
+    surfaces: &[&Surface],
+    mut walls: walls::Walls,
+    parts: &[Vec<Aabb>],
+    query: &inside::PointQuery,
+    fused: &[[usize; 2]],
+) -> (lattice::Lattice, mending::Mending, Vec<(usize, u8, u8)>) {
+    let (mut labels, parts_of) = label::label(grid, surfaces, &mut walls);
+    let mending = mending::mend_all(grid, &mut labels, &walls, parts);
+    let lost = walls.lost(grid, &labels);
+    let joints = gaps::Joints {
+        grid,
+        labels: &labels,
+        walls: &walls,
+        parts: &parts_of,
+        query,
+        fused,
+    };
+    (joints.number(), mending, lost)
 }
 
 /// A label volume is authoritative for the regions that it alone describes.
@@ -255,7 +281,7 @@ struct Input<'a> {
 /// Positions of the nodes, and the record of their placement.
 struct Placed {
     positions: Vec<Vec3>,
-    constraints: Vec<snap::Constraint>,
+    constraints: Vec<constraint::Constraint>,
     /// The cells around each node.
     around: Vec<[u32; 8]>,
     /// Nodes that two interfaces claimed.
@@ -274,7 +300,7 @@ fn position_nodes(
 ) -> Placed {
     let interfaces = input.interfaces;
     progress("snapping nodes", 0.3);
-    let mut constraints = snap::constraints(lattice);
+    let mut constraints = constraint::constraints(lattice);
     snap::mark_rims(grid, lattice, interfaces, &mut constraints);
     let tied = snap::settle_ties(grid, lattice, interfaces, &mut constraints);
     let mut positions = snap::snap(grid, lattice, input.surfaces, interfaces, &constraints);

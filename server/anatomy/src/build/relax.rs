@@ -7,9 +7,10 @@
 use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
+use super::constraint::Constraint;
 use super::interfaces::Interfaces;
 use super::lattice::Lattice;
-use super::snap::{Constraint, project_near};
+use super::snap::project_near;
 
 /// Sweeps over the nodes. Ten restore the spacing to within a few percent of what more would.
 const SWEEPS: usize = 10;

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::component_loss::ComponentLoss;
 use super::contact_change::ContactReport;
+use super::gaps::GapReport;
 use super::thin::ThinParts;
 use crate::surface::{Edges, Sets};
 
@@ -42,6 +43,9 @@ pub struct BuildReport {
     /// Pairs of regions that touch in the model where they do not in the input, or the reverse.
     #[serde(default)]
     pub contacts: Vec<ContactReport>,
+    /// Gaps of the input that stay open although no cell is empty there.
+    #[serde(default)]
+    pub gaps: Vec<GapReport>,
     /// Topology hash of the uncut model, hexadecimal.
     pub topology_hash: String,
     /// Number of warnings about faulty input surfaces, and about deviations beyond the thresholds of the scene.

@@ -33,6 +33,11 @@ pub(super) struct Segment {
 }
 
 impl Segment {
+    /// Sum of the normals.
+    pub(super) fn facing(&self) -> Vec3 {
+        self.normals[0] + self.normals[1]
+    }
+
     fn nearest(&self, point: &Vec3) -> Vec3 {
         let along = self.ends[1] - self.ends[0];
         let length = along.norm_squared();
@@ -49,8 +54,8 @@ impl Segment {
 #[derive(Debug, Default)]
 pub(super) struct Rims {
     segments: Vec<Segment>,
-    /// Where three edges meet, or two at an angle.
-    corners: Vec<Vec3>,
+    /// Where three edges meet, or two at an angle: position, and the sum of the normals around.
+    corners: Vec<(Vec3, Vec3)>,
     side: f64,
     cubes: BTreeMap<[i64; 3], Vec<u32>>,
     corner_cubes: BTreeMap<[i64; 3], Vec<u32>>,
@@ -66,7 +71,7 @@ impl Rims {
     pub(super) fn index(&mut self, reach: f64) {
         self.side = reach;
         self.find_corners();
-        for (index, corner) in self.corners.iter().enumerate() {
+        for (index, (corner, _)) in self.corners.iter().enumerate() {
             let at = cube(corner, BLUNT_REACH * reach);
             let list = self.corner_cubes.entry(at).or_default();
             list.push(index as u32);
@@ -91,14 +96,18 @@ impl Rims {
     /// Finds the points where two segments meet at an angle.
     fn find_corners(&mut self) {
         let bits = |p: &Vec3| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()];
-        let mut ways: BTreeMap<[u64; 3], Vec<Vec3>> = BTreeMap::new();
-        for Segment { ends: [a, b], .. } in &self.segments {
+        let mut ways: BTreeMap<[u64; 3], (Vec<Vec3>, Vec3)> = BTreeMap::new();
+        for segment in &self.segments {
+            let [a, b] = &segment.ends;
             if let Some(way) = (b - a).try_normalize(0.0) {
-                ways.entry(bits(a)).or_default().push(way);
-                ways.entry(bits(b)).or_default().push(-way);
+                for (end, way) in [(a, way), (b, -way)] {
+                    let entry = ways.entry(bits(end)).or_default();
+                    entry.0.push(way);
+                    entry.1 += segment.facing();
+                }
             }
         }
-        let turns = |ways: &Vec<Vec3>| {
+        let turns = |(ways, _): &(Vec<Vec3>, Vec3)| {
             let pairs = ways.iter().enumerate();
             pairs
                 .flat_map(|(i, a)| ways[i + 1..].iter().map(move |b| a.dot(b)))
@@ -106,28 +115,34 @@ impl Rims {
         };
         let sharp = ways.iter().filter(|(_, ways)| turns(ways));
         self.corners = sharp
-            .map(|(at, _)| Vec3::from(at.map(f64::from_bits)))
+            .map(|(at, (_, facing))| (Vec3::from(at.map(f64::from_bits)), *facing))
             .collect();
     }
 
-    /// Number and distance of the corner nearest to `point`, within [`BLUNT_REACH`] cube sides.
-    pub(super) fn nearest_corner(&self, point: &Vec3) -> Option<(u32, f64)> {
+    /// Number and distance of the corner nearest to `point`, within [`BLUNT_REACH`] cube sides, whose sum of
+    /// normals passes `accept`.
+    pub(super) fn nearest_corner(
+        &self,
+        point: &Vec3,
+        accept: impl Fn(&Vec3) -> bool,
+    ) -> Option<(u32, f64)> {
         if self.corners.is_empty() {
             return None;
         }
-        let distance = |index: u32| (self.corners[index as usize] - point).norm();
+        let distance = |index: u32| (self.corners[index as usize].0 - point).norm();
         cubes_around(point, BLUNT_REACH * self.side)
             .filter_map(|at| self.corner_cubes.get(&at))
             .flatten()
+            .filter(|index| accept(&self.corners[**index as usize].1))
             .map(|&index| (index, distance(index)))
             .filter(|(_, distance)| *distance <= BLUNT_REACH * self.side)
             .min_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)))
     }
 
-    /// The corner nearest to `point`.
-    pub(super) fn corner_near(&self, point: &Vec3) -> Option<Vec3> {
-        self.nearest_corner(point)
-            .map(|(index, _)| self.corners[index as usize])
+    /// The corner nearest to `point` whose sum of normals passes `accept`.
+    pub(super) fn corner_near(&self, point: &Vec3, accept: impl Fn(&Vec3) -> bool) -> Option<Vec3> {
+        self.nearest_corner(point, accept)
+            .map(|(index, _)| self.corners[index as usize].0)
     }
 
     /// The nearest rim point within one cube side of `point` whose segment passes `accept`.

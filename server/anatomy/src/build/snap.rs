@@ -9,13 +9,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use palpate_tissue::Vec3;
+use palpate_tissue::cell::{FACES, NO_CELL};
 use rayon::prelude::*;
 
+use super::constraint::Constraint;
 use super::grid::Grid;
 use super::interfaces::{Interface, Interfaces};
 use super::lattice::Lattice;
 use super::rays::{Hits, Rays, cast};
-use super::rim::CORNER_REACH;
+use super::rim::{CORNER_REACH, Segment};
 use crate::Surface;
 
 /// Most alternating projections of a node that lies on several interfaces. Each round shortens the distance to
@@ -45,93 +47,6 @@ const MEETING: f64 = 0.1;
 /// ... and this near to the lattice point.
 const MEETING_REACH: f64 = 1.25;
 
-/// The interfaces that a node lies on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Constraint {
-    /// The outer surface.
-    pub(super) outer: bool,
-    /// A rim of the outer surface, or of the only interface.
-    pub(super) rim: bool,
-    /// A corner of that rim.
-    pub(super) corner: bool,
-    /// Bit `f`: a cell face in direction `f` belongs to that rim; zero when any rim will do.
-    faces: u8,
-    /// Bit `r`: the inner interface of region `r`, where it overrides others.
-    pub(super) owners: u64,
-}
-
-impl Constraint {
-    /// Whether the node lies on no interface.
-    pub(super) fn free(self) -> bool {
-        !self.outer && self.owners == 0
-    }
-
-    /// A node on one interface alone.
-    fn on(interface: Interface) -> Self {
-        match interface {
-            Interface::Outer => Self {
-                outer: true,
-                ..Self::default()
-            },
-            Interface::Of(region) => Self {
-                owners: 1 << region,
-                ..Self::default()
-            },
-        }
-    }
-
-    /// The interfaces, the outer one first.
-    pub(super) fn interfaces(self) -> impl Iterator<Item = Interface> + Clone {
-        let outer = self.outer.then_some(Interface::Outer);
-        let owners = (0..64).filter(move |r| self.owners >> r & 1 == 1);
-        outer.into_iter().chain(owners.map(Interface::Of))
-    }
-
-    /// The interface whose rims the node may stand on, as an index into [`Interfaces::rims`].
-    fn rim_slot(self) -> Option<usize> {
-        if self.outer {
-            Some(0)
-        } else {
-            self.owners
-                .is_power_of_two()
-                .then(|| 1 + self.owners.trailing_zeros() as usize)
-        }
-    }
-
-    pub(super) fn single(self) -> bool {
-        !self.rim && u32::from(self.outer) + self.owners.count_ones() == 1
-    }
-
-    /// Whether a node under `self` may slide towards a node under `other`: the other lies on at least the same
-    /// interfaces.
-    pub(super) fn within(self, other: Self) -> bool {
-        (!self.outer || other.outer)
-            && (!self.rim || other.rim)
-            && !self.corner
-            && self.owners & other.owners == self.owners
-    }
-}
-
-/// Reads off the labels around each node which interfaces it lies on.
-pub(super) fn constraints(lattice: &Lattice) -> Vec<Constraint> {
-    let mut around: Vec<(u64, u8)> = vec![(0, 0); lattice.nodes.len()];
-    for cell in &lattice.cells {
-        for (c, &node) in cell.corners.iter().enumerate() {
-            let entry = &mut around[node as usize];
-            entry.0 |= 1 << cell.region.index();
-            entry.1 |= 1 << c;
-        }
-    }
-    around
-        .into_iter()
-        .map(|(regions, corners)| Constraint {
-            outer: corners != u8::MAX,
-            owners: regions & (regions - 1),
-            ..Constraint::default()
-        })
-        .collect()
-}
-
 /// Marks the nodes on a rim of their interface, and for each corner the nearest of these.
 pub(super) fn mark_rims(
     grid: &Grid,
@@ -144,11 +59,11 @@ pub(super) fn mark_rims(
     for cell in &lattice.cells {
         for face in 0..6 {
             let across = cell.neighbours[face];
-            let inner = across != palpate_tissue::cell::NO_CELL;
+            let inner = across != NO_CELL;
             if inner && lattice.cells[across as usize].region >= cell.region {
                 continue;
             }
-            for c in palpate_tissue::cell::FACES[face] {
+            for c in FACES[face] {
                 seen[cell.corners[c] as usize][usize::from(inner)] |= 1 << face;
             }
         }
@@ -165,18 +80,20 @@ pub(super) fn mark_rims(
         let seen = seen[node][usize::from(!constraint.outer)];
         let at = grid.point(lattice.nodes[node]);
         let rims = &interfaces.rims[slot];
-        let corner = rims.nearest_corner(&at);
+        let own = *constraint;
+        let corner = rims.nearest_corner(&at, |normals| own.faces(normals));
         if let Some((corner, distance)) = corner {
             blunt.push((slot, corner, distance, node as u32));
         }
         if seen.count_ones() < 2 {
             continue;
         }
-        let Some(point) = rims.nearest(&at, |s| shows(seen, s.normals)) else {
+        let shown = |s: &Segment| shows(seen, s.normals) && own.faces(&s.facing());
+        let Some(point) = rims.nearest(&at, shown) else {
             continue;
         };
         constraint.rim = true;
-        constraint.faces = seen;
+        constraint.seen = seen;
         claims.push(Claim {
             slot,
             node: node as u32,
@@ -216,12 +133,14 @@ pub(super) fn mark_rims(
     }
     // The node at the end of a rim may be beyond the corner: it accepts any rim.
     for claim in &claims {
-        let end = interfaces.rims[claim.slot].nearest_corner(&claim.point);
+        let own = constraints[claim.node as usize];
+        let rims = &interfaces.rims[claim.slot];
+        let end = rims.nearest_corner(&claim.point, |normals| own.faces(normals));
         let held = end.is_some_and(|(corner, distance)| {
             distance < CLAIM_REACH * grid.spacing && taken.contains(&(claim.slot, corner))
         });
         if held {
-            constraints[claim.node as usize].faces = 0;
+            constraints[claim.node as usize].seen = 0;
         }
     }
 }
@@ -275,6 +194,7 @@ fn settle_claims(
             .map(|step| std::array::from_fn(|a| centre[a] + step[a]))
             .flat_map(|at| places.get(&(claim.slot, at)).into_iter().flatten().copied())
             .filter(|&r| !settled[r] && (claims[r].point - claim.point).norm() < reach)
+            .filter(|&r| !across_gap(claim, &claims[r], constraints, spacing))
             .collect();
         rivals.sort_unstable();
         let middle = rivals.iter().copied().find(|&r| hollow(&claims[r]));
@@ -284,6 +204,15 @@ fn settle_claims(
             constraints[claims[rival].node as usize].rim = rival == winner;
         }
     }
+}
+
+/// Whether two positions are on the two sides of a gap: each lies where the other faces.
+fn across_gap(a: &Claim, b: &Claim, constraints: &[Constraint], spacing: f64) -> bool {
+    let faced = |from: &Claim, to: &Claim| {
+        let facing = constraints[from.node as usize].facing();
+        facing.dot(&(to.point - from.point)) > ON_SURFACE * spacing
+    };
+    faced(a, b) && faced(b, a)
 }
 
 /// Number of the eight cells around each node that lie on the inner side of its interface.
@@ -327,7 +256,7 @@ pub(super) fn project_near(
     let mut own = constraint.interfaces().filter(|_| constraint.single());
     let near = own
         .next()
-        .and_then(|i| interfaces.bvh(i).nearest(&from, reach));
+        .and_then(|i| nearest_within(interfaces, constraint, i, &from, reach));
     near.unwrap_or_else(|| project(interfaces, constraint, from))
 }
 
@@ -341,24 +270,27 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
         while owners != 0 {
             let region = owners.trailing_zeros() as usize;
             owners &= owners - 1;
-            at = nearest(interfaces, Interface::Of(region), &at).unwrap_or(at);
+            at = nearest(interfaces, constraint, Interface::Of(region), &at).unwrap_or(at);
         }
         let rims = constraint.rim_slot().filter(|_| constraint.rim);
         if let Some(rims) = rims.map(|slot| &interfaces.rims[slot]) {
-            let corner = constraint.corner.then(|| rims.corner_near(&at)).flatten();
+            let faces = |normals: &Vec3| constraint.faces(normals);
+            let corner = constraint.corner.then(|| rims.corner_near(&at, faces));
+            let corner = corner.flatten();
             // Rims lie side by side where steps are as large as cells; the node's own rim agrees with its cell
             // faces.
             let own = || {
                 rims.nearest(&at, |s| {
-                    constraint.faces == 0 || shows(constraint.faces, s.normals)
+                    let shown = constraint.seen == 0 || shows(constraint.seen, s.normals);
+                    shown && faces(&s.facing())
                 })
             };
             at = corner
                 .or_else(own)
-                .or_else(|| rims.nearest(&at, |_| true))
+                .or_else(|| rims.nearest(&at, |s| faces(&s.facing())))
                 .unwrap_or(at);
         } else if constraint.outer {
-            at = nearest(interfaces, Interface::Outer, &at).unwrap_or(at);
+            at = nearest(interfaces, constraint, Interface::Outer, &at).unwrap_or(at);
         }
         if (at - before).norm_squared() <= (ARRIVED * interfaces.spacing).powi(2) {
             break;
@@ -367,10 +299,29 @@ pub(super) fn project(interfaces: &Interfaces, constraint: Constraint, from: Vec
     at
 }
 
-fn nearest(interfaces: &Interfaces, interface: Interface, at: &Vec3) -> Option<Vec3> {
-    interfaces
-        .bvh(interface)
-        .nearest(at, REACH * interfaces.spacing)
+fn nearest(
+    interfaces: &Interfaces,
+    constraint: Constraint,
+    interface: Interface,
+    at: &Vec3,
+) -> Option<Vec3> {
+    let reach = REACH * interfaces.spacing;
+    nearest_within(interfaces, constraint, interface, at, reach)
+}
+
+/// The nearest point of an interface on the node's own side of a gap.
+fn nearest_within(
+    interfaces: &Interfaces,
+    constraint: Constraint,
+    interface: Interface,
+    at: &Vec3,
+    reach: f64,
+) -> Option<Vec3> {
+    let bvh = interfaces.bvh(interface);
+    if constraint.beside_gap() && interface == Interface::Outer {
+        return bvh.nearest_facing(at, reach, &constraint.facing());
+    }
+    bvh.nearest(at, reach)
 }
 
 /// The tie rule (reconstructed): where interfaces are closer together than a spacing and do not meet, the
@@ -390,7 +341,7 @@ pub(super) fn settle_ties(
             let from = grid.point(lattice.nodes[node]);
             let at = project(interfaces, *constraint, from);
             let meets = constraint.interfaces().all(|i| {
-                nearest(interfaces, i, &at)
+                nearest(interfaces, *constraint, i, &at)
                     .is_some_and(|p| (p - at).norm() <= MEETING * grid.spacing)
             });
             if meets && (at - from).norm() <= MEETING_REACH * grid.spacing {
@@ -398,7 +349,7 @@ pub(super) fn settle_ties(
             }
             let mut best: Option<(f64, Interface)> = None;
             for interface in constraint.interfaces() {
-                if let Some(p) = nearest(interfaces, interface, &from) {
+                if let Some(p) = nearest(interfaces, *constraint, interface, &from) {
                     let distance = (p - from).norm();
                     if best.is_none_or(|b| distance < b.0) {
                         best = Some((distance, interface));
@@ -410,7 +361,8 @@ pub(super) fn settle_ties(
                 *constraint = Constraint {
                     rim: kept,
                     corner: kept && constraint.corner,
-                    faces: if kept { constraint.faces } else { 0 },
+                    seen: if kept { constraint.seen } else { 0 },
+                    facing: constraint.facing,
                     ..Constraint::on(taker)
                 };
             }
@@ -440,7 +392,7 @@ pub(super) fn snap(
             if constraint.free() {
                 return;
             }
-            let by_ray = if constraint.single() {
+            let by_ray = if constraint.single() && !constraint.beside_gap() {
                 let at = lattice.nodes[node].map(|i| i as usize);
                 snap_along_rays(grid, at, &hits, interfaces, constraint)
             } else {
@@ -540,7 +492,7 @@ mod tests {
             let constraint = Constraint {
                 outer: true,
                 rim: true,
-                faces,
+                seen: faces,
                 ..Constraint::default()
             };
             project(&interfaces, constraint, from)

@@ -17,6 +17,9 @@ pub(super) const RAYS_PER_CELL: usize = 4;
 /// A gap or a strand that is shorter than this, in units of the rays, is rounding.
 pub(super) const NOTHING: f64 = 1e-6;
 
+/// Parts of the input closer together than this, in spacings, touch.
+const GAP_MIN: f64 = 1.0 / RAYS_PER_CELL as f64;
+
 /// A piece of a ray within one region.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Strand {
@@ -107,6 +110,46 @@ impl Strands {
         self.all.len()
     }
 
+    /// The pairs of parts that touch along a ray, or at one height of two neighbouring rays: a gap of a quarter of
+    /// a cell always has a ray in it. Both ways, sorted.
+    pub(super) fn touching(&self) -> Vec<[u32; 2]> {
+        let rays = self.start.len() - 1;
+        let rows: Vec<Vec<[u32; 2]>> = (0..rays / self.width)
+            .into_par_iter()
+            .map(|row| {
+                let mut pairs = Vec::new();
+                for ray in row * self.width..(row + 1) * self.width {
+                    for strand in self.range(ray).skip(1) {
+                        if self.all[strand].from - self.all[strand - 1].to < GAP_MIN {
+                            self.pair(strand - 1, strand, &mut pairs);
+                        }
+                    }
+                    let right = Some(ray + 1).filter(|r| r % self.width != 0);
+                    let above = Some(ray + self.width).filter(|r| *r < rays);
+                    for other in [right, above].into_iter().flatten() {
+                        self.side_by_side([ray, other], false, |a, b| {
+                            self.pair(a, b, &mut pairs);
+                        });
+                    }
+                }
+                pairs.sort_unstable();
+                pairs.dedup();
+                pairs
+            })
+            .collect();
+        let mut pairs = rows.concat();
+        pairs.par_sort_unstable();
+        pairs.dedup();
+        pairs
+    }
+
+    fn pair(&self, a: usize, b: usize, pairs: &mut Vec<[u32; 2]>) {
+        let [p, q] = [self.parts[a], self.parts[b]];
+        if p != q && pairs.last() != Some(&[q, p]) {
+            pairs.extend([[p, q], [q, p]]);
+        }
+    }
+
     fn range(&self, ray: usize) -> std::ops::Range<usize> {
         self.start[ray] as usize..self.start[ray + 1] as usize
     }
@@ -136,24 +179,37 @@ impl Strands {
         self.parts = all.map(|strand| sets.find(strand)).collect();
     }
 
-    fn join_strands(&self, sets: &mut Sets, [a, b]: [usize; 2], ends: bool) {
-        let (s, t) = (&self.all[a], &self.all[b]);
-        let (from, to) = (s.from.max(t.from), s.to.min(t.to));
-        if s.region == t.region && (from < to || (ends && from <= to)) {
-            sets.join(a as u32, b as u32);
-        }
-    }
-
     /// Connects the strands of two rays that have a stretch in common, or with `ends` at least an end.
     fn join_rays(&self, sets: &mut Sets, [one, other]: [usize; 2], ends: bool) {
+        self.side_by_side([one, other], ends, |a, b| {
+            if self.all[a].region == self.all[b].region {
+                sets.join(a as u32, b as u32);
+            }
+        });
+    }
+
+    /// Calls `each` with the strands of two rays that have a stretch in common, or with `ends` at least an end.
+    fn side_by_side(
+        &self,
+        [one, other]: [usize; 2],
+        ends: bool,
+        mut each: impl FnMut(usize, usize),
+    ) {
         let (one, other) = (self.range(one), self.range(other));
+        let mut meet = |a: usize, b: usize| {
+            let (s, t) = (&self.all[a], &self.all[b]);
+            let (from, to) = (s.from.max(t.from), s.to.min(t.to));
+            if from < to || (ends && from <= to) {
+                each(a, b);
+            }
+        };
         let (mut a, mut b) = (one.start, other.start);
         while a < one.end && b < other.end {
             let (s, t) = (&self.all[a], &self.all[b]);
-            self.join_strands(sets, [a, b], ends);
+            meet(a, b);
             // Where both end together, each also meets the next one of the other.
             if ends && s.to == t.to && a + 1 < one.end {
-                self.join_strands(sets, [a + 1, b], ends);
+                meet(a + 1, b);
             }
             if s.to < t.to {
                 a += 1;

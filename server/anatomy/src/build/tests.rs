@@ -90,7 +90,7 @@ pub(super) fn built(spacing_mm: f64, regions: &[(&str, Surface)]) -> (Model, Bui
     build(&scene(spacing_mm, regions), &mut |_, _| {}).unwrap()
 }
 
-fn assert_sound(model: &Model, report: &BuildReport) {
+pub(super) fn assert_sound(model: &Model, report: &BuildReport) {
     assert!(report.outer_surface.closed, "{report:?}");
     assert_eq!(report.quality.inverted_cells, 0, "{report:?}");
     assert_eq!(report.quality.bad_cells, 0, "{report:?}");

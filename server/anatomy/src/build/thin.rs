@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::faces::OUTSIDE;
 use super::grid::Grid;
 use super::interface_samples::{Sample, Thin};
-use super::lattice::Crumb;
+use super::mending::Crumb;
 use crate::Aabb;
 
 /// Most parts that a report lists, the largest first; the rest is counted.

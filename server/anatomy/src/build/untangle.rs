@@ -19,10 +19,11 @@ use palpate_tissue::Vec3;
 use palpate_tissue::cell::NO_CELL;
 use rayon::prelude::*;
 
+use super::constraint::Constraint;
 use super::interfaces::Interfaces;
 use super::lattice::Lattice;
 use super::quality::{CORNER_FLOOR, SPRING_FLOOR, passes};
-use super::snap::{Constraint, project};
+use super::snap::project;
 
 /// Cells with a smaller determinant, in Δd³, or a shorter spring, in Δd, are visited.
 const GOOD: (f64, f64) = (0.03, 0.33);
@@ -32,7 +33,13 @@ const AIM: (f64, f64) = (0.08, 0.38);
 const FLOOR: (f64, f64) = (CORNER_FLOOR * 1.001, SPRING_FLOOR * 1.001);
 
 /// Sweeps, and their weights of the distance to the surface (w above). Later sweeps let nodes move farther off.
-const STAGES: [(usize, f64); 3] = [(10, 0.1), (12, 0.01), (16, 0.001)];
+const STAGES: [(usize, f64); 3] = [(10, 0.1), (12, 0.01), (16, LAST_HOLD)];
+/// The weight at which nodes beside gaps may leave their surfaces too.
+const LAST_HOLD: f64 = 0.001;
+/// Least weight of the distance of these nodes.
+const HOLD_AT_GAP: f64 = 1.0;
+/// Part of a gap that each of its two sides may take up for the volumes of its regions.
+const GAP_PART: f64 = 0.25;
 /// Weight of the distance to the current position (ε above).
 const INERTIA: f64 = 0.02;
 /// Newton steps per visit.
@@ -106,7 +113,7 @@ impl<'a> Untangler<'a> {
     }
 
     /// Moves each node by the first of the given fractions of its step that keeps the cells around it above the
-    /// floors, or not at all.
+    /// floors and a gap beside it open, or not at all.
     pub(super) fn move_while_it_holds(
         &self,
         moves: &[(u32, Vec3)],
@@ -120,9 +127,9 @@ impl<'a> Untangler<'a> {
                 .filter_map(|(node, by)| {
                     let at = positions[*node as usize];
                     let tried = parts.iter().map(|part| at + by * *part);
-                    let to = tried
-                        .into_iter()
-                        .find(|to| self.holds(*node, to, positions))?;
+                    let to = tried.into_iter().find(|to| {
+                        self.holds(*node, to, positions) && self.keeps_gap_open(*node, to)
+                    })?;
                     Some((*node, to))
                 })
                 .collect();
@@ -176,6 +183,20 @@ impl<'a> Untangler<'a> {
         sorted(cells.filter(|&c| c != NO_CELL))
     }
 
+    /// Whether a node beside a gap that moves to `to` leaves most of the gap to the other side.
+    fn keeps_gap_open(&self, node: u32, to: &Vec3) -> bool {
+        let constraint = self.constraints[node as usize];
+        if !(constraint.outer && constraint.beside_gap()) {
+            return true;
+        }
+        let facing = constraint.facing();
+        let off = |way: Vec3| {
+            let nearest = self.interfaces.outer.nearest_facing(to, self.spacing, &way);
+            nearest.map_or(f64::INFINITY, |p| (p - to).norm())
+        };
+        off(facing) / GAP_PART <= off(-facing) / (1.0 - GAP_PART)
+    }
+
     /// Visits the nodes of `bad` cells once; returns the cells around them that fail afterwards.
     fn sweep(&self, bad: &[u32], hold: f64, positions: &mut [Vec3]) -> Vec<u32> {
         if bad.is_empty() {
@@ -204,13 +225,25 @@ impl<'a> Untangler<'a> {
             let off = (project(self.interfaces, constraint, at) - at) / self.spacing;
             // Off the surface the normal is the direction back to it. On the surface the term vanishes; it acts
             // at the next visit that finds the node off the surface.
-            if let Some(normal) = off.try_normalize(1e-9) {
+            let normal = off.try_normalize(1e-9);
+            // The two sides of a gap would meet if their nodes left their surfaces, so other nodes have to move.
+            let (normal, hold) = if constraint.beside_gap() {
+                let facing = constraint.facing().try_normalize(0.0);
+                (normal.or(facing), hold.max(HOLD_AT_GAP))
+            } else {
+                (normal, hold)
+            };
+            if let Some(normal) = normal {
                 pull.0 += normal * normal.transpose() * hold;
                 pull.1 += off * hold;
             }
         }
         let stencil = Stencil::gather(self, node, positions);
-        at + stencil.minimise(&pull.0, &pull.1) * self.spacing
+        let to = at + stencil.minimise(&pull.0, &pull.1) * self.spacing;
+        if constraint.beside_gap() && hold > LAST_HOLD {
+            return project(self.interfaces, constraint, to);
+        }
+        to
     }
 
     /// Moves the nodes of failing cells back towards their lattice points until none fails.

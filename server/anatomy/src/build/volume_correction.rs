@@ -2,7 +2,7 @@
 //!
 //! Faces between nodes that lie exactly on a curved surface run inside it: a bone of radius 7 mm loses 6 % at a
 //! spacing of 4 mm. So the nodes of each interface move along its normal, mostly by well below a tenth of the
-//! spacing. A node moves less if its cells would fail the floors.
+//! spacing. A node moves less if its cells would fail the floors or a gap would close.
 
 use std::collections::BTreeMap;
 

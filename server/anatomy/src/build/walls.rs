@@ -127,6 +127,17 @@ impl Walls {
         &self.shares[from..from + count]
     }
 
+    /// The cells that no label fills alone, in order, each with its fills.
+    pub(super) fn mixed(&self) -> impl ParallelIterator<Item = (usize, &[Share])> {
+        let groups = self.shares.par_chunk_by(|a, b| a.cell == b.cell);
+        groups.map(|own| (own[0].cell as usize, own))
+    }
+
+    /// The labels in mixed cells, each with its part.
+    pub(super) fn parts(&self) -> impl Iterator<Item = (u8, u32)> {
+        self.shares.iter().map(|s| (s.label, s.part))
+    }
+
     fn touch(&self, cell: usize, a: u8, b: u8) -> bool {
         self.contacts.binary_search(&contact(cell, a, b)).is_ok()
     }

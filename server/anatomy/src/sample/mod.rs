@@ -85,6 +85,7 @@ impl Sample {
             spacing_m: body.spacing_m,
             auto_spacing: false,
             thresholds: Thresholds::default(),
+            fuse: Vec::new(),
             pinned: body.pinned.iter().map(|&name| name.to_owned()).collect(),
             gravity_m_s2: [0.0; 3],
             regions: regions.collect(),

@@ -7,6 +7,8 @@
 //! spacing_mm = 4.0                 # or "auto": as thin as the thinnest layers,
 //!                                  # but not below spacing_min_mm, if that is given
 //! pinned = ["femur"]               # regions that do not move
+//! fuse = [["femur", "tibia"]]      # optional: regions that grow together where they are nearer than a cell;
+//!                                  # gaps between others stay open from a quarter of the spacing on
 //! gravity_m_s2 = [0.0, 0.0, -9.81] # optional; without it nothing weighs anything
 //!
 //! [[region]]                       # later regions override earlier ones where they overlap
@@ -122,6 +124,9 @@ pub struct Scene {
     pub auto_spacing: bool,
     /// Names of the regions that do not move.
     pub pinned: Vec<String>,
+    /// Pairs of regions, the earlier one first, whose cells are joined where no cell is empty between them. A region
+    /// paired with itself joins its own parts.
+    pub fuse: Vec<[usize; 2]>,
     /// Acceleration of gravity in m/s² along the axes of the model; zeros for none. Surfaces and labels define
     /// the shape without gravity.
     pub gravity_m_s2: [f64; 3],

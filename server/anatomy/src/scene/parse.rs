@@ -18,12 +18,13 @@ use super::{
 use crate::InputError;
 use crate::surface::Unit;
 
-const SCENE_KEYS: [&str; 9] = [
+const SCENE_KEYS: [&str; 10] = [
     "format",
     "spacing_mm",
     "spacing_min_mm",
     "labels",
     "pinned",
+    "fuse",
     "gravity_m_s2",
     "region",
     "report",
@@ -86,6 +87,7 @@ fn read(text: &Text, base: PathBuf) -> Result<Scene, InputError> {
         gravity_m_s2: gravity(text, root, !pinned.is_empty())?,
         pinned,
         thresholds: Thresholds::read(text, root)?,
+        fuse: fuse(text, root, &regions)?,
         regions,
         materials,
         base,
@@ -340,19 +342,54 @@ fn pinned(text: &Text, root: &DeTable, regions: &[SceneRegion]) -> Result<Vec<St
     };
     let mut pinned = Vec::new();
     for value in text.array("pinned", value, "a list of region names")? {
-        let name = text.string("pinned", value)?;
-        if !regions.iter().any(|r| r.name == name) {
-            let names = || regions.iter().map(|r| r.name.as_str());
-            let hint = match nearest_name(&name, names()) {
-                Some(n) => format!("did you mean \"{n}\"?"),
-                None => format!("regions are {}", names().collect::<Vec<_>>().join(", ")),
-            };
-            let what = format!("pinned region \"{name}\" is not a region of this scene; {hint}");
-            return Err(text.error(value.span().start, what));
-        }
+        let name = regions[named(text, "pinned", value, regions)?].name.clone();
         if !pinned.contains(&name) {
             pinned.push(name);
         }
     }
     Ok(pinned)
+}
+
+/// The pairs of regions to fuse.
+fn fuse(
+    text: &Text,
+    root: &DeTable,
+    regions: &[SceneRegion],
+) -> Result<Vec<[usize; 2]>, InputError> {
+    const WANTED: &str = "a list of pairs of region names such as [[\"femur\", \"tibia\"]]";
+    let Some(value) = root.get("fuse") else {
+        return Ok(Vec::new());
+    };
+    let mut pairs = Vec::new();
+    for value in text.array("fuse", value, WANTED)? {
+        let [a, b] = text.array("fuse", value, WANTED)? else {
+            let what = format!("\"fuse\" must be {WANTED}");
+            return Err(text.error(value.span().start, what));
+        };
+        let [a, b] = [
+            named(text, "fuse", a, regions)?,
+            named(text, "fuse", b, regions)?,
+        ];
+        pairs.push([a.min(b), a.max(b)]);
+    }
+    Ok(pairs)
+}
+
+/// The region that a value of `key` names.
+fn named(
+    text: &Text,
+    key: &str,
+    value: &Spanned<DeValue>,
+    regions: &[SceneRegion],
+) -> Result<usize, InputError> {
+    let name = text.string(key, value)?;
+    let names = || regions.iter().map(|r| r.name.as_str());
+    names().position(|n| n == name).ok_or_else(|| {
+        let hint = match nearest_name(&name, names()) {
+            Some(n) => format!("did you mean \"{n}\"?"),
+            None => format!("regions are {}", names().collect::<Vec<_>>().join(", ")),
+        };
+        let what = format!("{key} region \"{name}\" is not a region of this scene; {hint}");
+        text.error(value.span().start, what)
+    })
 }

@@ -32,6 +32,12 @@ impl Scene {
             let names: Vec<String> = self.pinned.iter().map(|n| quoted(n)).collect();
             writeln!(out, "pinned = [{}]", names.join(", "))?;
         }
+        if !self.fuse.is_empty() {
+            let name = |r: usize| quoted(&self.regions[r].name);
+            let pairs = self.fuse.iter().map(|pair| pair.map(name));
+            let pairs: Vec<String> = pairs.map(|[a, b]| format!("[{a}, {b}]")).collect();
+            writeln!(out, "fuse = [{}]", pairs.join(", "))?;
+        }
         if self.gravity_m_s2 != [0.0; 3] {
             let [x, y, z] = self.gravity_m_s2.map(number);
             writeln!(out, "gravity_m_s2 = [{x}, {y}, {z}]")?;

@@ -128,7 +128,7 @@ impl Lesson {
     }
 }
 
-fn settled() -> crate::TissueReport {
+pub(super) fn settled() -> crate::TissueReport {
     crate::TissueReport::Settled {
         tick: crate::TickReport {
             view_time: ms(0),
@@ -137,6 +137,7 @@ fn settled() -> crate::TissueReport {
             residual: 0.0,
             active_nodes: 0,
         },
+        inserted: Vec::new(),
         corrections: None,
         picture: None,
     }

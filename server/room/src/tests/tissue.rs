@@ -1,6 +1,10 @@
 //! The room with asynchronous tissue: orders without a report yet.
 
 use super::*;
+use palpate_protocol::ParticipantId;
+use palpate_protocol::tool::{part_id, part_owner};
+use palpate_tissue::{Form, Needle, Tool, Vec3};
+
 use crate::room::Room;
 use crate::{Authority, LoggedCut, Settling, TissueOrder, TissueReport};
 
@@ -91,7 +95,7 @@ fn prepared_cut_enters_the_log_and_its_order_has_that_time() {
     assert_eq!(room.topology(), (0, TopologyHash(7)));
     orders(&mut room);
     let report = TissueReport::Cut {
-        author: palpate_protocol::ParticipantId(1),
+        author: ParticipantId(1),
         request: RequestId(1),
         result: Ok(logged),
     };
@@ -119,7 +123,7 @@ fn cut_takes_effect_with_its_blade_but_not_before_earlier_operations() {
             blade_at: Some(ms(blade_ms)),
         };
         let report = TissueReport::Cut {
-            author: palpate_protocol::ParticipantId(1),
+            author: ParticipantId(1),
             request: RequestId(version),
             result: Ok(logged),
         };
@@ -146,7 +150,7 @@ fn cuts_in_preparation_are_bounded_and_a_refusal_frees_a_slot() {
     assert_eq!(orders(&mut room).len(), 2, "in preparation at once");
     assert!(refusals(&drained(&mut room)).is_empty(), "the others wait");
     let report = TissueReport::Cut {
-        author: palpate_protocol::ParticipantId(1),
+        author: ParticipantId(1),
         request: RequestId(0),
         result: Err(RequestRefusal::NothingCut),
     };
@@ -160,7 +164,7 @@ fn cuts_in_preparation_are_bounded_and_a_refusal_frees_a_slot() {
 }
 
 fn prepared(took: Span) -> TissueReport {
-    let author = palpate_protocol::ParticipantId(1);
+    let author = ParticipantId(1);
     TissueReport::Prepared { author, took }
 }
 
@@ -184,7 +188,7 @@ fn report_for_a_departed_author_is_sent_to_no_peer() {
     room.handle_event(PeerKey(1), PeerEvent::Closed(CloseReason::Left), ms(110));
     drained(&mut room);
     let report = TissueReport::Cut {
-        author: palpate_protocol::ParticipantId(1),
+        author: ParticipantId(1),
         request: RequestId(1),
         result: Err(RequestRefusal::NothingCut),
     };
@@ -192,14 +196,101 @@ fn report_for_a_departed_author_is_sent_to_no_peer() {
     assert!(refusals(&drained(&mut room)).is_empty());
 }
 
-/// Topology version of the surface at this view time.
-fn version_seen(authority: &mut Authority, at: ServerTime) -> u32 {
-    let order = Settling {
+/// A tick without tools.
+fn settling(at: ServerTime) -> Settling {
+    Settling {
         returns: false,
         view_time: at,
         tools: Vec::new(),
+        blades: Vec::new(),
         wants_corrections: false,
+        wants_picture: None,
+    }
+}
+
+#[test]
+fn cutting_blade_is_ordered_as_an_edge_and_presses_no_tissue() {
+    let mut room = table();
+    let mut edges = 0;
+    for t in (0..400).step_by(16) {
+        room.handle_tick(ms(t));
+        for order in orders(&mut room) {
+            if let TissueOrder::Settle(order) = order {
+                edges += order.blades.len();
+                assert!(order.blades.is_empty() || order.tools.is_empty());
+                room.handle_report(super::controls::settled(), ms(t));
+            }
+        }
+    }
+    assert!(edges > 5, "{edges}");
+}
+
+#[test]
+fn reaction_on_a_cutting_blade_is_toughness_times_depth_against_its_motion() {
+    let (mut authority, _) = Authority::new(model());
+    let mut along = |x: f64| {
+        let blade = palpate_tissue::BladePoint {
+            tip: Vec3::new(x, 0.0241, 0.022),
+            axis: Vec3::z(),
+            depth_m: 0.03,
+        };
+        let order = Settling {
+            blades: vec![(ParticipantId(1), blade)],
+            ..settling(ms(0))
+        };
+        authority.settle(&order, &mut || false);
+        authority.reactions()
+    };
+    assert!(along(0.019).is_empty(), "a resting blade");
+    let [reaction] = &along(0.020)[..] else {
+        panic!("one reaction")
+    };
+    // 100 J/m² over 10 mm.
+    let off = reaction.force - Vec3::new(-1.0, 0.0, 0.0);
+    assert!(off.norm() < 0.02, "{}", reaction.force);
+    assert_eq!(part_owner(reaction.tool), ParticipantId(1));
+    authority.settle(&settling(ms(20)), &mut || false);
+    assert!(authority.reactions().is_empty());
+}
+
+#[test]
+fn settled_tick_reports_the_holders_of_needles_that_enter() {
+    let (mut authority, _) = Authority::new(model());
+    let mut holders = |height: f64| {
+        let needle = Tool {
+            form: Form::line(Vec3::zeros(), Vec3::z() * 0.05),
+            needle: Some(Needle {
+                is_inserted: false,
+                decides: false,
+            }),
+            ..Tool::ball(
+                part_id(ParticipantId(2), 0),
+                Vec3::new(0.0241, 0.0243, 0.032 + height),
+                0.6e-3,
+            )
+        };
+        let order = Settling {
+            tools: vec![needle],
+            ..settling(ms(0))
+        };
+        match authority.settle(&order, &mut || false) {
+            TissueReport::Settled { inserted, .. } => inserted,
+            _ => unreachable!(),
+        }
+    };
+    assert_eq!(holders(5e-3), []);
+    let mut entered = Vec::new();
+    for step in 0..8 {
+        entered = holders(-0.5e-3 * f64::from(step));
+    }
+    assert_eq!(entered, [ParticipantId(2)]);
+}
+
+/// Topology version of the surface at this view time.
+fn version_seen(authority: &mut Authority, at: ServerTime) -> u32 {
+    let order = Settling {
         wants_picture: Some(at),
+        ..settling(at)
     };
     let TissueReport::Settled { picture, .. } = authority.settle(&order, &mut || false) else {
         unreachable!()
@@ -214,7 +305,7 @@ fn prepared_cut_takes_effect_in_the_first_view_of_its_time() {
         unreachable!()
     };
     let job = authority.job(&crate::CutOrder {
-        author: palpate_protocol::ParticipantId(1),
+        author: ParticipantId(1),
         request: RequestId(1),
         change: crate::RequestedChange::Cut(cut),
     });
@@ -271,7 +362,7 @@ fn make(
     change: crate::RequestedChange,
 ) -> Result<OperationKind, RequestRefusal> {
     let job = authority.job(&crate::CutOrder {
-        author: palpate_protocol::ParticipantId(1),
+        author: ParticipantId(1),
         request: RequestId(1),
         change,
     });

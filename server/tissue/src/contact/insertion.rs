@@ -107,11 +107,18 @@ impl Contacts {
         tip.map_or(0.0, |tip| tip.pressed_n.max(0.0))
     }
 
-    /// Ends a step for the needle of proxy `i`: the tissue takes hold of it, it cuts, or it leaves.
-    pub(crate) fn end_insertion(&mut self, topology: &Topology, u: &[Vec3], own: &[f64], i: usize) {
+    /// Ends a step for the needle of proxy `i`: the tissue takes hold of it, it cuts, or it leaves. Returns whether the tissue
+    /// holds it from now on, by the decision of this shape.
+    pub(crate) fn end_insertion(
+        &mut self,
+        topology: &Topology,
+        u: &[Vec3],
+        own: &[f64],
+        i: usize,
+    ) -> bool {
         let spacing = topology.model().spacing_m;
         let Some(rod) = self.proxies[i].rod(spacing) else {
-            return;
+            return false;
         };
         let around = Around { topology, u, own };
         let proxy = &mut self.proxies[i];
@@ -123,14 +130,19 @@ impl Contacts {
                 proxy.withdraw();
                 self.is_unsettled = true;
             }
-        } else if decides
-            && let Some(tip) = self.at_tip(topology, u, i, &rod)
-            && tip.pressed_n > 0.0
-        {
+            return !change.is_out;
+        }
+        let tip = self.at_tip(topology, u, i, &rod);
+        let Some(tip) = tip.filter(|tip| tip.pressed_n > 0.0) else {
+            return false;
+        };
+        if decides {
             let channel = Channel::along(&around, &rod, tip.cell, tip.pressed_n);
             self.proxies[i].insert(channel);
             self.is_unsettled = true;
+            return self.proxies[i].insertion.is_in();
         }
+        true
     }
 
     /// The reaction on the inserted needle of proxy `i`; `None` if it is not inserted.

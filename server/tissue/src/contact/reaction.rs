@@ -40,7 +40,7 @@ pub struct Reaction {
     pub contact_patches: Vec<ContactPatch>,
     /// The hold of the tissue on an inserted needle, in place of contact patches.
     pub shaft: Option<ShaftReaction>,
-    /// Whether the tissue holds the needle after the step.
+    /// Whether the tissue holds the needle after the step, by the decision of this shape.
     pub is_inserted: bool,
 }
 

@@ -30,6 +30,32 @@ const ROUNDING: f64 = 1e-9;
 /// Greatest distance of a point in a wound from either side, in cells. A wider wound holds no edge.
 const GAP_MAX: f64 = 0.5;
 
+/// Motion of the tip that determines the direction of an edge, m: twice that between two solves.
+const TURN_M: f64 = 0.3e-3;
+
+/// The path of an edge so far.
+#[derive(Debug, Clone, Default)]
+pub struct EdgeTrack {
+    /// A cell near the edge.
+    near: Option<u32>,
+    /// The tip when its direction was determined.
+    from: Option<Vec3>,
+    /// Direction of the edge, across itself.
+    ahead: Option<Vec3>,
+}
+
+impl EdgeTrack {
+    fn follow(&mut self, blade: &BladePoint) {
+        let moved = blade.tip - *self.from.get_or_insert(blade.tip);
+        if moved.norm() < TURN_M {
+            return;
+        }
+        let across = moved - blade.axis * moved.dot(&blade.axis);
+        self.ahead = across.try_normalize(0.5 * TURN_M).or(self.ahead);
+        self.from = Some(blade.tip);
+    }
+}
+
 /// The resistance against the edge of a blade.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct EdgeResistance {
@@ -37,16 +63,19 @@ pub struct EdgeResistance {
     pub newtons: f64,
     /// Where it acts: distance from the tip along the edge, m.
     pub along_m: f64,
+    /// Direction in which the edge moves, across itself; zero if it is unknown.
+    pub ahead: Vec3,
 }
 
-/// The resistance against a blade in the deformed shape. `near` is a cell near the edge, if one is known, and becomes the
-/// latest one.
+/// The resistance against a blade in the deformed shape. `track` follows the edge from call to call.
 pub fn edge_resistance(
     topology: &Topology,
     shape: &Shape,
     blade: &BladePoint,
-    near: &mut Option<u32>,
+    track: &mut EdgeTrack,
 ) -> EdgeResistance {
+    track.follow(blade);
+    let ahead = track.ahead.unwrap_or_default();
     let mut search = Search {
         topology,
         shape,
@@ -55,7 +84,7 @@ pub fn edge_resistance(
         seen: Vec::new(),
         open: Vec::new(),
     };
-    let mut at = |along_m: f64| search.toughness(blade.tip + blade.axis * along_m, near);
+    let mut at = |along_m: f64| search.toughness(blade.tip + blade.axis * along_m, &mut track.near);
     let (mut newtons, mut moment) = (0.0, 0.0);
     let mut add = |toughness: f64, from: f64, to: f64| {
         newtons += toughness * (to - from);
@@ -84,6 +113,7 @@ pub fn edge_resistance(
     EdgeResistance {
         newtons,
         along_m: if newtons > 0.0 { moment / newtons } else { 0.0 },
+        ahead,
     }
 }
 
@@ -228,7 +258,7 @@ mod tests {
     }
 
     fn total(topology: &Topology, shape: &Shape, blade: &BladePoint) -> (f64, f64) {
-        let edge = edge_resistance(topology, shape, blade, &mut None);
+        let edge = edge_resistance(topology, shape, blade, &mut EdgeTrack::default());
         (edge.newtons, edge.newtons * edge.along_m)
     }
 
@@ -318,7 +348,7 @@ mod tests {
             axis: Vec3::new(0.2, 0.1, 1.0).normalize(),
             depth_m: 30e-3,
         };
-        let mut near = None;
+        let mut track = EdgeTrack::default();
         let mut last: Option<f64> = None;
         for step in 0..260 {
             let y = 6e-3 + 0.1e-3 * f64::from(step);
@@ -333,7 +363,7 @@ mod tests {
                 cut(&mut topology, &stroke).unwrap();
             }
             let shape = Shape::rest(&topology);
-            let force = edge_resistance(&topology, &shape, &point(y), &mut near).newtons;
+            let force = edge_resistance(&topology, &shape, &point(y), &mut track).newtons;
             if let Some(last) = last {
                 assert!((force - last).abs() < 0.3, "at {y}: {last} {force}");
             }

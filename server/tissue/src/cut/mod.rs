@@ -53,7 +53,7 @@ mod width;
 use std::collections::{BTreeSet, HashMap};
 
 pub(crate) use cell_index::CutIndex;
-pub use edge::{EdgeResistance, edge_resistance};
+pub use edge::{EdgeResistance, EdgeTrack, edge_resistance};
 pub use follow::Moved;
 pub(crate) use part::derive_around;
 pub use stroke::{

@@ -4,12 +4,13 @@
 use std::collections::BTreeSet;
 
 use super::cell_fans::{Fans, NO_FAN, Opening};
-use super::sheet::nodes_of;
+use super::sheet::{is_bone, nodes_of};
 use crate::cell::{FACES, NO_CELL, cell_volume};
 use crate::{FaceId, Topology};
 
-/// Gives every fan of every node of the sheet a node of its own: the first fan keeps the old one, the
-/// others get new ones at the end. Returns pairs of new node and the node it was doubled from.
+/// Gives every fan of every node of the sheet a node of its own: the first fan, or the first one with a cell of bone, keeps
+/// the old one, so that no node ceases to be pinned; the others get new ones at the end. Returns pairs of new node and the
+/// node it was doubled from.
 pub(crate) fn double(topology: &mut Topology, sheet: &[FaceId]) -> Vec<(u32, u32)> {
     let nodes: BTreeSet<u32> = sheet
         .iter()
@@ -19,8 +20,14 @@ pub(crate) fn double(topology: &mut Topology, sheet: &[FaceId]) -> Vec<(u32, u32
     let fans: Vec<(u32, Fans)> = nodes.iter().map(|&n| (n, opening.fans(n))).collect();
     let mut doubled = Vec::new();
     for (node, fans) in fans {
-        let labels: BTreeSet<u8> = fans.into_iter().filter(|&f| f != NO_FAN).collect();
-        for &label in labels.iter().skip(1) {
+        let cells = topology.node_cells[node as usize];
+        let has_bone = |slot: &usize| fans[*slot] != NO_FAN && is_bone(topology, cells[*slot]);
+        let mut labels: BTreeSet<u8> = fans.into_iter().filter(|&f| f != NO_FAN).collect();
+        let bone = (0..8).filter(has_bone).map(|slot| fans[slot]).min();
+        if let Some(keeps) = bone.or_else(|| labels.first().copied()) {
+            labels.remove(&keeps);
+        }
+        for label in labels {
             let new = topology.rest.len() as u32;
             doubled.push((new, node));
             let mut cells = [NO_CELL; 8];

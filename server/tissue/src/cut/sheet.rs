@@ -2,8 +2,9 @@
 //!
 //! Reconstructed; of Lin 2007, chapter 5, captions survive. A face is crossed when the segment
 //! between the weighted centres of its two cells crosses the swept surface. Nodes on interfaces and walls weigh more,
-//! because they only slide: where the blade crosses an interface flatly, fewer of them belong to the sheet. Around any edge of the lattice
-//! these segments form a loop, so crossed faces make a sheet that ends only where the swept surface
+//! because they only slide: where the blade crosses an interface flatly, fewer of them belong to the sheet. Faces between cells
+//! of bone (pinned regions) are not crossed; a blade at the surface of a bone parts tissue from it. Around any edge of the
+//! lattice these segments form a loop, so crossed faces make a sheet that ends only where the swept surface
 //! ends. The sheet is then eroded until opening it leaves a proper surface:
 //!
 //! - a face none of whose four nodes would be doubled opens nothing, and leaves the sheet;
@@ -40,8 +41,8 @@ struct Met {
     open: bool,
 }
 
-/// The faces that a ribbon crosses, each from its lower side along its axis, sorted; pinned and open
-/// ones left out.
+/// The faces that a ribbon crosses, each from its lower side along its axis, sorted; open ones and those within bone left
+/// out.
 pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId>, CutError> {
     let index = topology.cell_index();
     let spacing = topology.model.spacing_m;
@@ -62,8 +63,16 @@ pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId
     }
 }
 
-/// Mean of a cell's corners, in which those on interfaces, surfaces and walls count [`HELD_WEIGHT`] times.
+pub(crate) fn is_bone(topology: &Topology, cell: u32) -> bool {
+    topology.model.regions[topology.region(cell).index()].pinned
+}
+
+/// Mean of a cell's corners, in which those on interfaces, surfaces and walls count [`HELD_WEIGHT`] times; in bone the plain
+/// mean, because its nodes do not move.
 fn weighted_centre(topology: &Topology, cell: u32) -> Vec3 {
+    if is_bone(topology, cell) {
+        return topology.centre(cell);
+    }
     let region = topology.region(cell);
     let mut sum = Vec3::zeros();
     let mut weights = 0.0;
@@ -93,14 +102,10 @@ fn meet(topology: &Topology, cell: u32, ribbon: &Ribbon, met: &mut Met) {
             continue;
         }
         let id = FaceId::new(cell, face);
-        let regions = [cell, other].map(|c| topology.region(c));
-        let bone = regions
-            .into_iter()
-            .find(|r| topology.model.regions[r.index()].pinned);
         if topology.across(id) == NO_CELL {
             met.open = true;
-        } else if bone.is_some() {
-            met.pinned = bone;
+        } else if is_bone(topology, cell) && is_bone(topology, other) {
+            met.pinned = Some(topology.region(cell));
         } else {
             met.faces.insert(id);
         }

@@ -120,8 +120,8 @@ impl Solver {
                     reaction.force_error = (reaction.force - last).norm();
                 }
             }
-            self.contacts.end_insertion(topology, u, &self.fine.own, i);
-            reaction.is_inserted = self.contacts.proxies[i].insertion.is_in();
+            let own = &self.fine.own;
+            reaction.is_inserted = self.contacts.end_insertion(topology, u, own, i);
             self.report.reactions.push(reaction);
         }
         self.report.steady &= !self.contacts.is_unsettled;

@@ -11,6 +11,7 @@ use palpate_tissue::{FaceId, RegionId, SweptSurface, Topology, Vec3};
 pub(crate) enum Kind {
     Inside,
     Interface,
+    /// On bone, also the side that was parted from it.
     Pinned,
 }
 
@@ -47,7 +48,7 @@ pub(crate) fn sheet_nodes(
     let spacing = t.model().spacing_m;
     let figures = nodes.into_iter().map(|(origin, node)| SheetNode {
         node,
-        kind: if t.is_pinned(node) {
+        kind: if uncut.is_pinned(origin) {
             Kind::Pinned
         } else if interfaces_at(uncut, origin).is_empty() {
             Kind::Inside
