@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::overlap::Component;
-use crate::scene::Thresholds;
+use crate::scene::Scene;
 
 /// Most components that a report lists of each kind, the largest first; the rest is counted.
 pub const COMPONENTS_MAX: usize = 64;
@@ -62,15 +62,12 @@ pub(super) fn counts(components: &[Component], regions: usize) -> Vec<[usize; 2]
     counts
 }
 
-/// Lists the lost and the merged components from the volume on that the scene sets.
-pub(super) fn losses(
-    components: &[Component],
-    names: &[String],
-    thresholds: &Thresholds,
-) -> ComponentLoss {
+/// Lists the lost and the merged components from the volume on that the scene sets. Parts of a region that the scene
+/// fuses with itself are not listed as merged.
+pub(super) fn losses(components: &[Component], names: &[String], scene: &Scene) -> ComponentLoss {
     let mut large: Vec<&Component> = components
         .iter()
-        .filter(|c| c.volume * 1e9 >= thresholds.component_mm3)
+        .filter(|c| c.volume * 1e9 >= scene.thresholds.component_mm3)
         .collect();
     // A stable sort: equal volumes keep the order of the rays.
     large.sort_by(|a, b| b.volume.total_cmp(&a.volume));
@@ -87,7 +84,11 @@ pub(super) fn losses(
             lost.push(report);
             continue;
         };
+        let region = usize::from(component.region);
         if let Some(other) = largest.get(&within) {
+            if scene.fuse.contains(&[region; 2]) {
+                continue;
+            }
             merged.push(MergedComponent {
                 component: report,
                 with_mm: (other.at * 1e3).into(),

@@ -3,7 +3,7 @@
 use super::component_loss::ComponentLoss;
 use super::contact_change::ContactReport;
 use super::{BuildReport, RegionReport, ThinKind};
-use crate::scene::Thresholds;
+use crate::scene::{Scene, Thresholds};
 
 /// Most components of a kind, and most contacts, that are named in warnings; the rest is counted.
 const NAMED_MAX: usize = 10;
@@ -11,8 +11,10 @@ const NAMED_MAX: usize = 10;
 /// Distance, in spacings, from which a region is reported unless the scene sets one.
 const DISTANCE_MAX: f64 = 2.0;
 
-/// Adds the warnings about a report to it. `folded` are the regions whose input surface overlaps itself or is inside out in part.
-pub(super) fn warn(report: &mut BuildReport, folded: &[usize], thresholds: &Thresholds) {
+/// Adds the warnings about a report to it. `folded` are the regions whose input surface overlaps itself or is inside out
+/// in part. Contacts of regions that the scene fuses are intended.
+pub(super) fn warn(report: &mut BuildReport, folded: &[usize], scene: &Scene) {
+    let thresholds = &scene.thresholds;
     let mut warnings = Vec::new();
     for (r, region) in report.regions.iter().enumerate() {
         let cause = if folded.contains(&r) {
@@ -25,7 +27,13 @@ pub(super) fn warn(report: &mut BuildReport, folded: &[usize], thresholds: &Thre
         of_region(region, report.spacing_mm, thresholds, cause, &mut warnings);
     }
     of_components(&report.component_loss, &mut warnings);
-    of_contacts(&report.contacts, thresholds, &mut warnings);
+    let name = |r: usize| &report.regions[r].name;
+    let fused = |contact: &ContactReport| {
+        let [a, b] = &contact.regions;
+        let mut pairs = scene.fuse.iter();
+        pairs.any(|&[p, q]| (name(p), name(q)) == (a, b))
+    };
+    of_contacts(&report.contacts, thresholds, fused, &mut warnings);
     report.deviations = folded.len() + warnings.len();
     report.warnings.append(&mut warnings);
 }
@@ -122,7 +130,12 @@ fn of_components(loss: &ComponentLoss, warnings: &mut Vec<String>) {
     }
 }
 
-fn of_contacts(contacts: &[ContactReport], thresholds: &Thresholds, warnings: &mut Vec<String>) {
+fn of_contacts(
+    contacts: &[ContactReport],
+    thresholds: &Thresholds,
+    fused: impl Fn(&ContactReport) -> bool,
+    warnings: &mut Vec<String>,
+) {
     let mut named = Vec::new();
     for contact in contacts {
         let [a, b] = &contact.regions;
@@ -131,7 +144,7 @@ fn of_contacts(contacts: &[ContactReport], thresholds: &Thresholds, warnings: &m
                 format!(" around ({x:.1}, {y:.1}, {z:.1}) mm")
             })
         };
-        if contact.created_mm2 > thresholds.contact_mm2 {
+        if contact.created_mm2 > thresholds.contact_mm2 && !fused(contact) {
             let gap = match contact.gap_min_mm {
                 Some(gap) => format!("{gap:.2} mm apart at least"),
                 None => "farther apart than the spacing".to_owned(),

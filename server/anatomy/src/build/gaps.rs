@@ -565,6 +565,9 @@ mod tests {
             let (model, report) = build(&input, &mut |_, _| {}).unwrap();
             assert!(shared(&model, |c| model.cells[c].region.index()) > 20);
             assert_eq!(report.gaps, []);
+            // The contact is new, and intended.
+            assert!(report.contacts[0].created_mm2 > 100.0);
+            assert_eq!(report.deviations, 0, "{:?}", report.warnings);
         }
     }
 

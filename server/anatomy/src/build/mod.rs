@@ -169,7 +169,6 @@ pub fn build(
     input_check::hanging(&model, &mut warnings);
     let gaps = gaps::reports(&model, &opened);
     let figures = figures(&model, &faces, &names);
-    let thresholds = &input.scene.thresholds;
     let mut report = BuildReport {
         nodes: model.nodes.len(),
         cells: model.cells.len(),
@@ -187,14 +186,14 @@ pub fn build(
         },
         bars: figures.bars,
         thin: collector.finish(&names),
-        component_loss: component_loss::losses(&overlap.components, &names, thresholds),
+        component_loss: component_loss::losses(&overlap.components, &names, &input.scene),
         contacts: contact_change::contacts(&grid, &samples, &faces, &model.nodes, &names),
         gaps,
         topology_hash: figures.topology_hash,
         deviations: 0,
         warnings,
     };
-    deviations::warn(&mut report, &folded, thresholds);
+    deviations::warn(&mut report, &folded, &input.scene);
     progress("done", 1.0);
     Ok((model, report))
 }
