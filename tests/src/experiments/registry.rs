@@ -40,47 +40,47 @@ pub const ALL: &[Experiment] = experiments! {
         "a ball on soft tissue, on stiff tissue and between them (Lin 2007, fig 4.8)";
     "friction", 6.3, [], Work::Experiment(friction::run),
         "a ball and a line dragged over tissue: stick, slip and torque (figs 4.11 to 4.13)";
-    "handle", 4.6, [Model], Work::Experiment(handle::run),
+    "handle", 3.5, [Model], Work::Experiment(handle::run),
         "a soft grip around a hard core: force against depth for three materials (fig 7.4)";
-    "tool-paths", 110.0, [Model], Work::Experiment(tool_paths::run),
+    "tool-paths", 84.0, [Model], Work::Experiment(tool_paths::run),
         "one target point reached along four paths (fig 7.10)";
-    "leg-press", 11.5, [Model], Work::Experiment(leg_press::run),
+    "leg-press", 7.2, [Model], Work::Experiment(leg_press::run),
         "a leg with rigid bones pressed over muscle and over bone (fig 7.11)";
-    "cut-methods", 2.0, [], Work::Experiment(cut_methods::run),
+    "cut-methods", 1.3, [], Work::Experiment(cut_methods::run),
         "one stroke by element removal, subdivision, subdivision with snapping, and a sheet (fig 2.3)";
-    "cut-force", 5.0, [], Work::Experiment(cut_force::run),
+    "cut-force", 2.4, [], Work::Experiment(cut_force::run),
         "force of a blade that cuts skin, fat, muscle and liver, and its work per area of the wound";
-    "needle-force", 11.0, [], Work::Experiment(needle_force::run),
+    "needle-force", 5.8, [], Work::Experiment(needle_force::run),
         "force of a needle into fat, muscle, liver and layers, and out again";
-    "cut-time", 5.0, [], Work::Experiment(cut_time::run),
+    "cut-time", 3.5, [], Work::Experiment(cut_time::run),
         "time of a blade sample over the length of a cut, in models of three sizes (fig 7.13)";
-    "cut-width", 13.0, [Model], Work::Experiment(cut_width::run),
+    "cut-width", 8.0, [Model], Work::Experiment(cut_width::run),
         "opening of a cut over the depth below the surface, at rest and retracted (fig 7.17)";
-    "cut-gallery", 5.0, [Model], Work::Experiment(cut_gallery::run),
+    "cut-gallery", 3.3, [Model], Work::Experiment(cut_gallery::run),
         "pictures of cuts: snapping, curves, refinement, layers, depths, crossings, a piece (figs 5.10, 7.14 to 7.20)";
-    "press", 135.0, [Model], Work::Experiment(press::run),
+    "press", 71.0, [Model], Work::Experiment(press::run),
         "force error of the haptic path: a ball and a line pressed at 100 mm/s, the line then dragged";
-    "atc-none", 6.1, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::none),
+    "atc-none", 7.5, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::none),
         "two sites align a part without artificial time compensation (fig 7.26)";
-    "atc-fixed", 6.4, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::fixed),
+    "atc-fixed", 2.0, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::fixed),
         "two sites align a part with the smallest safe fixed playout delay (fig 7.27)";
-    "atc-adaptive", 7.1, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::adaptive),
+    "atc-adaptive", 2.0, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::adaptive),
         "two sites align a part with an adaptive playout delay (fig 7.28)";
-    "atc-predicted", 7.7, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::predicted),
+    "atc-predicted", 2.7, [Seed, Seeds, Profile, Motion], Work::Experiment(atc::predicted),
         "two sites align a part with server-side prediction instead of a delay";
-    "atc-controllers", 25.0, [Seed, Profile, Motion], Work::Experiment(atc_controllers::run),
+    "atc-controllers", 42.0, [Seed, Profile, Motion], Work::Experiment(atc_controllers::run),
         "the adaptive playout delay beside the controllers of NetEQ and of a Kalman filter";
-    "transmission", 1.1, [Seed, Profile, Motion], Work::Experiment(atc::transmission),
+    "transmission", 1.5, [Seed, Profile, Motion], Work::Experiment(atc::transmission),
         "delay of a motion from site to site, with and without compensation (fig 7.24)";
     "jitter", 1.3, [Seed, Profile, Motion], Work::Experiment(atc::jitter),
         "jitter of a shown tool, with and without compensation (fig 7.25)";
-    "replicas", 185.0, [Model, Seed, Seeds, Real, Profile], Work::Experiment(replicas::run),
+    "replicas", 72.0, [Model, Seed, Seeds, Real, Profile], Work::Experiment(replicas::run),
         "two trainees press and cut: error of their shapes and forces, over networks to 400 ms";
-    "thin", 1.5, [Model, Seed, Profile], Work::Experiment(thin::run),
+    "thin", 1.8, [Model, Seed, Profile], Work::Experiment(thin::run),
         "a spectator without tissue solver: error of the shown shape and bandwidth";
     "scale", 45.0, [Model, Seed, Profile], Work::Experiment(scale::run),
         "server load of 1 to 64 participants, a quarter of them in contact";
-    "table-7-1", 15.0, [Seed, Motion], Work::Experiment(table_7_1::run),
+    "table-7-1", 9.6, [Seed, Motion], Work::Experiment(table_7_1::run),
         "error of reconstructed samples against the true hand motion (table 7.1)";
     "missing-data", 0.1, [Seed, Motion], Work::Experiment(missing_data::run),
         "one gap in a hand's motion, reconstructed by each method (fig 6.9)";
@@ -88,7 +88,7 @@ pub const ALL: &[Experiment] = experiments! {
 
 /// All benchmarks in page order.
 pub(super) const BENCHMARKS: &[Experiment] = experiments! {
-    "coding", 0.4, [], Work::Command("palpate-lab bench coding --round-trip-ms 50 --seed 1",
+    "coding", 1.1, [], Work::Command("palpate-lab bench coding --round-trip-ms 50 --seed 1",
         "A random hand of 87 mm/s rms in batches of four new 1 kHz samples, and a block that is pressed and \
         released, at 60 frames per second and 0.05 mm. Deflate compresses the same integers, as differences \
         from the acknowledged state, per datagram or frame. Raw uses four-byte numbers. Headers are included."),
@@ -98,19 +98,19 @@ pub(super) const BENCHMARKS: &[Experiment] = experiments! {
         scripts. The column UDP is the total with QUIC overhead and must stay below the limit. The other \
         columns include acknowledgements."),
         "bandwidth of a session while pressing and cutting, by purpose, with QUIC overhead";
-    "haptic-tick", 2.6, [], Work::Command("palpate-lab bench haptic-tick --ticks 50000",
+    "haptic-tick", 1.7, [], Work::Command("palpate-lab bench haptic-tick --ticks 50000",
         "Durations of a tick, by device and number of active contact points. One run on this machine: other \
         load changes the rare long ticks."),
         "duration of a tick of the 1 kHz loop: read, compute, write";
-    "press-cube", 1.1, [], Work::Command("palpate-lab bench press-cube --moving",
+    "press-cube", 2.5, [], Work::Command("palpate-lab bench press-cube --moving",
         "A cube of side 0.1 m pressed by a disc, on one thread: from rest to 1 % displacement error and to \
         convergence, then in ten steps of 0.1 mm."),
         "solver time for a disc pressed into a cube of 8,000 nodes";
-    "haptic-faults", 12.0, [], Work::Command("palpate-lab haptic-faults --seeds 500",
+    "haptic-faults", 8.4, [], Work::Command("palpate-lab haptic-faults --seeds 500",
         "Faults during a press through the client's force loop, in virtual time. The force changes by at \
         most the slew-rate limit per tick and is zero within 150 ms after the loss of its source."),
         "injected faults during haptic contact: no fault may cause a force jump";
-    "attack", 40.0, [], Work::Command("palpate-lab attack transfers handshakes delay seats slow-reader names --seconds 6",
+    "attack", 28.0, [], Work::Command("palpate-lab attack transfers handshakes delay seats slow-reader names --seconds 6",
         "Six attacks at once beside two honest trainees, and the same session without attack."),
         "a server under attack: force, playout delay, newcomers and memory beside two honest trainees";
 };

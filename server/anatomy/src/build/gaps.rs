@@ -131,8 +131,8 @@ enum Between {
     Tissue,
 }
 
-/// What a line shows between two regions, from the regions of its points; `None` unless it passes from one to the
-/// other.
+/// The space on a line between two regions, from the regions of its points; `None` unless the line passes from one to
+/// the other.
 fn line_shows(points: impl Iterator<Item = Option<usize>>, regions: [usize; 2]) -> Option<Between> {
     // The last of the two regions, and the space since.
     let mut last: Option<(usize, Option<Between>)> = None;

@@ -218,7 +218,7 @@ fn cutting_blade_is_ordered_as_an_edge_and_presses_no_tissue() {
             if let TissueOrder::Settle(order) = order {
                 edges += order.blades.len();
                 assert!(order.blades.is_empty() || order.tools.is_empty());
-                room.handle_report(super::controls::settled(), ms(t));
+                room.handle_report(controls::settled(), ms(t));
             }
         }
     }
