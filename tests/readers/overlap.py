@@ -19,7 +19,7 @@ import trimesh
 LINES = 800
 STEP_MM = 0.2
 COMPONENTS = 40
-POINTS = 20
+POINTS = 60
 
 
 class Solid:

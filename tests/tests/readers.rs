@@ -296,7 +296,7 @@ fn dice_and_lost_components_of_real_labels_agree_with_independent_packages() {
                     l["region"] == name && (number(&l["volume_mm3"]) / size - 1.0).abs() < 1e-6
                 };
                 let is_listed = listed.iter().any(|l| is_it(&l));
-                // Twenty points decide on a component: only clear cases are compared.
+                // Sixty points decide on a component: only clear cases are compared.
                 if size > LEAST && kept <= 0.25 {
                     assert!(
                         is_listed,

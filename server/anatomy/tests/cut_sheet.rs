@@ -18,8 +18,8 @@ use strokes::sheet_laws::{check, check_crossings, count};
 /// Least shares of the nodes inside, on interfaces and at crossings that are on the swept surface. Others are on interfaces
 /// that meet the blade flatly, on creases, or between walls, interfaces and the blade in one cell.
 const SHARES: [f64; 3] = [0.95, 0.7, 0.0];
-/// The same where a second stroke crosses the wound of a first.
-const CROSSING_SHARES: [f64; 3] = [0.92, 0.7, 0.45];
+/// The same where a second stroke crosses the wound of a first. Moving nodes by 1e-9 m changes these by up to 0.03.
+const CROSSING_SHARES: [f64; 3] = [0.9, 0.65, 0.45];
 
 fn check_model(name: &str, input: &SceneInput, strokes: u64) {
     let (model, _) = build(input, &mut |_, _| ()).unwrap();

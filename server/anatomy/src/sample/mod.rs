@@ -49,6 +49,19 @@ pub struct SampleFiles {
     pub surfaces: Vec<(String, Surface)>,
 }
 
+/// Contacts of fewer cell faces than this, and components smaller than a cell, are below the resolution of a sample: its
+/// report does not warn of them.
+const FACES_MIN: f64 = 5.0;
+
+fn thresholds(spacing_m: f64) -> Thresholds {
+    let spacing_mm = spacing_m * 1e3;
+    Thresholds {
+        contact_mm2: FACES_MIN * spacing_mm.powi(2),
+        component_mm3: spacing_mm.powi(3),
+        ..Thresholds::default()
+    }
+}
+
 impl Sample {
     /// All samples, in listing order.
     pub const ALL: [Self; 4] = [Self::Thigh, Self::AbdominalWall, Self::Leg, Self::Handle];
@@ -84,7 +97,7 @@ impl Sample {
         let scene = Scene {
             spacing_m: body.spacing_m,
             auto_spacing: false,
-            thresholds: Thresholds::default(),
+            thresholds: thresholds(body.spacing_m),
             fuse: Vec::new(),
             pinned: body.pinned.iter().map(|&name| name.to_owned()).collect(),
             gravity_m_s2: [0.0; 3],
