@@ -89,7 +89,7 @@ fn run_writes_figures_table_and_chart_and_prints_json() {
     ];
     let figures: Value = serde_json::from_str(&done(&line)).unwrap();
     let rows = figures["rows"].as_array().unwrap();
-    assert_eq!(rows.len(), (5 + 7) * 6 * 4);
+    assert_eq!(rows.len(), (6 + 7) * 6 * 4);
     for row in rows {
         assert!(
             row["method"].is_string() && row["n"].as_u64().unwrap() > 0,
@@ -294,5 +294,5 @@ fn written_hand_is_a_valid_motion() {
     let motion = file(dir.path(), "hand.csv", &text);
     let figures = done(&["run", "missing-data", "--motion", &motion, "--json"]);
     let figures: Value = serde_json::from_str(&figures).unwrap();
-    assert_eq!(figures["methods"].as_array().unwrap().len(), 12);
+    assert_eq!(figures["methods"].as_array().unwrap().len(), 13);
 }
