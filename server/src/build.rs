@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use palpate_anatomy::{BuildReport, DISTANCE_REACH, SceneInput, build};
+use palpate_anatomy::{BuildReport, RegionReport, SceneInput, build};
 use palpate_tissue::file::ModelFile;
 use serde::{Deserialize, Serialize};
 
@@ -19,8 +19,10 @@ pub struct BuildSummary {
     pub report: BuildReport,
     /// Seconds from the first file read to the model in memory.
     pub seconds: f64,
-    /// Peak resident memory of the process in bytes; 0 if the system does not report it.
-    pub peak_memory_bytes: u64,
+    /// Peak resident memory of the process in bytes until all files were written. A model file does not hold it, nor
+    /// is it known on every system.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub peak_memory_bytes: Option<u64>,
 }
 
 /// Builds a model from checked input, with a progress bar on a terminal.
@@ -38,17 +40,19 @@ pub fn build_model(
     let summary = BuildSummary {
         report,
         seconds: since.elapsed().as_secs_f64(),
-        peak_memory_bytes: memory::peak_bytes().unwrap_or(0),
+        peak_memory_bytes: None,
     };
     let report_json = serde_json::to_string(&summary).unwrap_or_default();
     Ok((ModelFile { model, report_json }, summary))
 }
 
-/// Builds a scene and writes the model file and the requested exports: all files or none.
+/// Builds a scene and writes the model file and the requested exports: all files or none. If `strict`, it writes none
+/// where the report has deviations.
 pub(crate) fn build_file(
     scene: &Path,
     output: &Path,
     exports: &Exports,
+    strict: bool,
 ) -> Result<BuildSummary, ServerError> {
     let since = Instant::now();
     let input = SceneInput::load(scene)?;
@@ -60,10 +64,13 @@ pub(crate) fn build_file(
     // Checked before the build, which can take a minute, and again afterwards.
     let places: Vec<&Path> = exports.files().chain([output]).collect();
     keep_apart(&places, &read)?;
-    let (file, summary) = build_model(&input, since)?;
-    let mut staged = exports.stage(&file.model)?;
-    staged.push(file.stage(output)?);
-    put_in_place(staged, &read)?;
+    let (file, mut summary) = build_model(&input, since)?;
+    if !(strict && summary.report.deviations > 0) {
+        let mut staged = exports.stage(&file.model)?;
+        staged.push(file.stage(output)?);
+        put_in_place(staged, &read)?;
+    }
+    summary.peak_memory_bytes = memory::peak_bytes();
     Ok(summary)
 }
 
@@ -122,6 +129,7 @@ pub(crate) fn describe(summary: &BuildSummary) -> String {
             layer.small_components
         );
     }
+    describe_contacts(r, &mut text);
     let _ = writeln!(
         text,
         "outer surface: {} vertices, {} triangles, {}, {} part(s)",
@@ -139,13 +147,15 @@ pub(crate) fn describe(summary: &BuildSummary) -> String {
     for warning in &r.warnings {
         let _ = writeln!(text, "warning: {warning}");
     }
-    let _ = write!(
-        text,
-        "built in {:.2} s, {:.0} MB of memory at most ({:.0} bytes per node)",
-        summary.seconds,
-        summary.peak_memory_bytes as f64 / 1e6,
-        summary.peak_memory_bytes as f64 / r.nodes.max(1) as f64
-    );
+    let _ = write!(text, "built in {:.2} s", summary.seconds);
+    if let Some(bytes) = summary.peak_memory_bytes {
+        let _ = write!(
+            text,
+            ", {:.0} MB of memory at most ({:.0} bytes per node)",
+            bytes as f64 / 1e6,
+            bytes as f64 / r.nodes.max(1) as f64
+        );
+    }
     text
 }
 
@@ -157,50 +167,71 @@ fn describe_regions(r: &BuildReport, text: &mut String) {
     use std::fmt::Write as _;
     let _ = writeln!(
         text,
-        "{:<24} {:>9} {:>12} {:>12} {:>8} {:>7} {:>9} {:>8} {:>9} {:>8} {:>8}",
-        "region",
-        "nodes",
-        "volume cm3",
-        "input cm3",
-        "error %",
-        "pieces",
-        "mean mm",
-        "max mm",
-        "back mean",
-        "back max",
-        "sound"
+        "{:<24} {:>9} {:>12} {:>12} {:>8} {:>7} {:>8} {:>7}",
+        "region", "nodes", "volume cm3", "input cm3", "error %", "Dice", "differ %", "pieces"
     );
     for region in &r.regions {
         let error = 100.0 * (region.volume_mm3 / region.input_volume_mm3 - 1.0);
-        // The search for the model's surface ends at this number of spacings.
-        let reach = DISTANCE_REACH * r.spacing_mm;
-        let at_least = if region.input_distance_max_mm < reach * (1.0 - 1e-9) {
-            ""
-        } else {
-            ">"
-        };
         let _ = writeln!(
             text,
-            "{:<24} {:>9} {:>12.3} {:>12.3} {:>8.2} {:>7} {:>9.3} {:>8.2} {:>9.3} {:>8} {:>8.2}",
+            "{:<24} {:>9} {:>12.3} {:>12.3} {:>8.2} {:>7.4} {:>8.2} {:>7}",
             region.name,
             region.nodes,
             region.volume_mm3 / 1e3,
             region.input_volume_mm3 / 1e3,
             error,
+            region.dice,
+            100.0 * region.difference_part,
             format!("{}/{}", region.components, region.input_components),
+        );
+    }
+    let _ = writeln!(
+        text,
+        "  (Dice coefficient with the input; differ: volume in one of the two only; pieces: model/input, without \
+         crumbs below 1 mm3)"
+    );
+    describe_distances(&r.regions, text);
+}
+
+fn describe_distances(regions: &[RegionReport], text: &mut String) {
+    use std::fmt::Write as _;
+    let _ = writeln!(
+        text,
+        "{:<24} {:>9} {:>8} {:>8} {:>9} {:>8} {:>8} {:>8}",
+        "distances in mm", "mean", "p99", "max", "back mean", "p99", "max", "sound"
+    );
+    for region in regions {
+        let back = |mm: Option<f64>| mm.map_or_else(|| "-".to_owned(), |mm| format!("{mm:.3}"));
+        let _ = writeln!(
+            text,
+            "{:<24} {:>9.3} {:>8.3} {:>8.3} {:>9} {:>8} {:>8} {:>8.3}",
+            region.name,
             region.surface_distance_mean_mm,
+            region.surface_distance_p99_mm,
             region.surface_distance_max_mm,
-            region.input_distance_mean_mm,
-            format!("{at_least}{:.2}", region.input_distance_max_mm),
+            back(region.input_distance_mean_mm),
+            back(region.input_distance_p99_mm),
+            back(region.input_distance_max_mm),
             region.distance_max_outside_thin_mm
         );
     }
     let _ = writeln!(
         text,
-        "  (pieces: model/input; mean, max: model surface from input; back: input from model \
-         surface; sound: largest either way outside of thin parts; \
-         >: no model surface so near)"
+        "  (model surface of each region from its input surface, and back; sound: largest either way outside of thin \
+         parts)"
     );
+}
+
+fn describe_contacts(r: &BuildReport, text: &mut String) {
+    use std::fmt::Write as _;
+    for contact in &r.contacts {
+        let [a, b] = &contact.regions;
+        let _ = writeln!(
+            text,
+            "contact {a} | {b}: {:.1} mm2 in the model, {:.1} in the input; {:.1} created, {:.1} removed",
+            contact.model_mm2, contact.input_mm2, contact.created_mm2, contact.removed_mm2
+        );
+    }
 }
 
 fn describe_quality(r: &BuildReport, text: &mut String) {

@@ -29,6 +29,13 @@ A scene names closed surfaces, or the labels of a segmentation. Surfaces are loo
   surface = \"skin.stl\"                # millimetres unless unit = \"m\"; or label = 2, or label = [2, 5]
   material = \"fat\"
 
+  [report]                            # optional: deviations that are warned of; the defaults are
+  dice = 0.9                          # least Dice coefficient of a region with its input
+  volume_percent = 1.0                # error of its volume
+  distance_mm = 8.0                   # between its surfaces; two spacings unless given
+  contact_mm2 = 10.0                  # contact of two regions that was created or removed
+  component_mm3 = 1.0                 # components that were lost or joined, from this volume on
+
   [material.fat]                      # optional: changes a built-in material or adds one
   young_kpa = 10.0
   poisson = 0.25                      # 0.25 (springs alone) to 0.49
@@ -132,6 +139,10 @@ enum Command {
         /// Print the report as one JSON object
         #[arg(long)]
         json: bool,
+        /// Fail (exit code 1) and write no file where the model deviates from its input beyond the
+        /// thresholds of the scene's [report], or an input surface is faulty
+        #[arg(long)]
+        strict: bool,
     },
     /// Cut a model along strokes, without a session
     #[command(after_help = CUT)]
@@ -192,13 +203,20 @@ fn execute(command: Command) -> Result<(), ServerError> {
             output,
             exports,
             json,
+            strict,
         } => {
-            let summary = build::build_file(&scene, &output, &exports)?;
+            let summary = build::build_file(&scene, &output, &exports, strict)?;
+            let deviations = if strict { summary.report.deviations } else { 0 };
             if json {
                 print_result(&serde_json::json!(summary).to_string())?;
+            } else if deviations > 0 {
+                print_result(&build::describe(&summary))?;
             } else {
                 let text = build::describe(&summary);
                 print_result(&format!("{text}\nwritten to {}", output.display()))?;
+            }
+            if deviations > 0 {
+                return Err(ServerError::Deviations(deviations));
             }
         }
         Command::Cut(options) => {

@@ -33,6 +33,12 @@ pub enum ServerError {
         /// Problem and remedy, without any secret.
         why: String,
     },
+    /// A strict build deviates from its input.
+    #[error(
+        "{0} deviations of the model from its input, or of the input itself; nothing was written. Mend the input, choose a \
+         smaller spacing_mm, set thresholds in [report], or leave out --strict"
+    )]
+    Deviations(usize),
     /// The name is neither a model file, nor a scene, nor a sample.
     #[error("{0}")]
     NoModel(String),

@@ -14,12 +14,13 @@ import sys
 import meshio
 import nibabel
 import numpy
+import scipy
 import skfem
 import trimesh
 
 
 def versions():
-    modules = (meshio, trimesh, nibabel, numpy, skfem)
+    modules = (meshio, trimesh, nibabel, numpy, scipy, skfem)
     return {module.__name__: module.__version__ for module in modules}
 
 

@@ -139,6 +139,28 @@ fn invalid_surfaces_are_rejected_with_their_error() {
 }
 
 #[test]
+fn strict_build_that_loses_a_region_fails_and_writes_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    std::fs::write(dir.join("box.stl"), box_stl(60.0, 0)).unwrap();
+    std::fs::write(dir.join("grain.stl"), box_stl(1.0, 0)).unwrap();
+    let out = dir.join("out.palp").display().to_string();
+    let scene = scene(dir, "box.stl", "");
+    let build = ["server", "build", &scene, "-o", &out, "--json", "--strict"];
+    assert!(run(&build).status.success());
+    std::fs::remove_file(&out).unwrap();
+    let grain = "[[region]]\nname = \"grain\"\nsurface = \"grain.stl\"\nmaterial = \"bone\"\n";
+    let text = std::fs::read_to_string(&scene).unwrap();
+    std::fs::write(&scene, text + grain).unwrap();
+    refused(&build, 1, &["deviations", "--strict"]);
+    assert!(!Path::new(&out).exists());
+    let done = run(&build[..6]);
+    assert!(done.status.success() && Path::new(&out).exists());
+    let report: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+    assert!(report["deviations"].as_u64() > Some(0), "{report}");
+}
+
+#[test]
 fn damaged_model_is_rejected() {
     let table = table::Table::new();
     let bytes = std::fs::read(&table.subject.file).unwrap();

@@ -1,4 +1,5 @@
-//! Exported files, read back by independent Python packages: meshio, trimesh and nibabel.
+//! Exported files, read back by independent Python packages: meshio, trimesh and nibabel; and the comparison of models
+//! with their input, repeated by these and by scipy on the real anatomy in `PALPATE_DATA`.
 //!
 //! `PALPATE_PYTHON` names a Python with these packages (`bash .ci/readers` creates one and prints its path;
 //! `.ci/run` sets the variable). Without it these tests pass and print that they were skipped.
@@ -17,19 +18,24 @@ fn executable() -> &'static Path {
 
 /// Result of the reader script; `None` without Python.
 fn readers(command: &str, paths: &[&Path]) -> Option<Value> {
+    let paths = paths.iter().map(|p| p.display().to_string());
+    let arguments: Vec<String> = std::iter::once(command.to_owned()).chain(paths).collect();
+    script("check.py", &arguments)
+}
+
+/// Result of a script with these arguments; `None` without Python.
+fn script(name: &str, arguments: &[String]) -> Option<Value> {
     let Some(python) = std::env::var_os("PALPATE_PYTHON") else {
         println!("PALPATE_PYTHON is not set: nothing was tested");
         return None;
     };
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("readers/check.py");
-    let out = Command::new(&python)
-        .arg(script)
-        .arg(command)
-        .args(paths)
-        .output();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("readers")
+        .join(name);
+    let out = Command::new(&python).arg(script).args(arguments).output();
     let out = out.unwrap_or_else(|e| panic!("PALPATE_PYTHON = {}: {e}", python.display()));
     let said = String::from_utf8_lossy(&out.stderr);
-    assert!(out.status.success(), "{command}: {said}");
+    assert!(out.status.success(), "{arguments:?}: {said}");
     Some(serde_json::from_slice(&out.stdout).unwrap())
 }
 
@@ -181,5 +187,139 @@ fn nibabel_label_volume_builds_to_its_voxel_volumes() {
         let [low, high] = ["low_mm", "high_mm"].map(|k| number(&built[k][axis]));
         let centre = number(&labels["2"]["centre_mm"][axis]);
         assert!((0.5 * (low + high) - centre).abs() < 2.0, "axis {axis}");
+    }
+}
+
+/// Largest difference of two Dice coefficients. Reason: three standard errors of 800 random lines through vessels.
+const DICE: f64 = 0.015;
+
+/// Builds regions, each with the lines of its source, and compares the report with that of independent packages.
+/// Returns both.
+fn compared(kind: &str, head: &str, regions: &[(&str, String, String)]) -> Option<(Value, Value)> {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let mut scene = format!("format = \"palpate-scene/1\"\nspacing_mm = 4.0\n{head}\n");
+    for (name, source, _) in regions {
+        writeln!(
+            scene,
+            "[[region]]\nname = \"{name}\"\n{source}\nmaterial = \"fat\""
+        )
+        .unwrap();
+    }
+    std::fs::write(dir.path().join("scene.toml"), scene).unwrap();
+    let [scene, model, stl] = ["scene.toml", "m.palp", "stl"].map(path);
+    let report = server(&["build", &scene, "-o", &model, "--stl", &stl, "--json"]);
+    let mut arguments = vec![kind.to_owned(), stl];
+    if kind == "labels" {
+        arguments.push(head.split('"').nth(1).unwrap().to_owned());
+    }
+    arguments.extend(
+        regions
+            .iter()
+            .map(|(name, _, value)| format!("{name}={value}")),
+    );
+    let theirs = script("overlap.py", &arguments)?;
+    for region in report["regions"].as_array().unwrap() {
+        let name = region["name"].as_str().unwrap();
+        let [ours, found] = [&region["dice"], &theirs[name]["dice"]].map(number);
+        println!("{name}: Dice {ours:.4}, {found:.4} by independent packages");
+        assert!((ours - found).abs() < DICE, "{name}: {ours} {found}");
+    }
+    Some((report, theirs))
+}
+
+/// The real data, if they and Python are there.
+fn data() -> Option<PathBuf> {
+    readers("versions", &[])?;
+    let data = std::env::var_os("PALPATE_DATA").map(PathBuf::from);
+    if data.is_none() {
+        println!("PALPATE_DATA is not set: nothing was tested");
+    }
+    data
+}
+
+#[test]
+fn dice_of_real_surfaces_agrees_with_independent_packages() {
+    let Some(data) = data() else { return };
+    let regions = ["skin", "muscle", "femur"].map(|part| {
+        let file = data.join(format!("leg_bp3d/thigh_{part}.stl"));
+        let file = file.display().to_string();
+        (part, format!("surface = \"{file}\""), file)
+    });
+    compared("surfaces", "", &regions);
+}
+
+#[test]
+fn dice_and_lost_components_of_real_labels_agree_with_independent_packages() {
+    /// Smallest component to compare in mm³: few enough that the report lists all.
+    const LEAST: f64 = 400.0;
+    let Some(data) = data() else { return };
+    let thigh: &[&str] = &["fat", "muscle", "bone"];
+    let abdomen: &[&str] = &[
+        "skin",
+        "fat",
+        "muscle",
+        "bone",
+        "gas",
+        "liver",
+        "spleen",
+        "kidneys",
+        "vessels",
+        "gallbladder",
+    ];
+    for (file, names) in [
+        ("leg_bp3d/thigh_labels_2mm.nii.gz", thigh),
+        ("abdomen_ct/abdomen_slab_organs_3mm.nii.gz", abdomen),
+    ] {
+        let volume = data.join(file).display().to_string();
+        let regions: Vec<(&str, String, String)> = (1..)
+            .zip(names)
+            .map(|(label, name)| (*name, format!("label = {label}"), label.to_string()))
+            .collect();
+        let head = format!("labels = \"{volume}\"\nreport.component_mm3 = {LEAST}");
+        let Some((report, theirs)) = compared("labels", &head, &regions) else {
+            return;
+        };
+        assert_eq!(report["component_loss"]["lost_more"], 0, "{file}");
+        let listed = report["component_loss"]["lost"].as_array().unwrap();
+        let mut lost = 0;
+        for region in report["regions"].as_array().unwrap() {
+            let name = region["name"].as_str().unwrap();
+            let components = &theirs[name]["components"];
+            assert_eq!(
+                region["input_components"], components["count"],
+                "{file}, {name}"
+            );
+            for found in components["largest"].as_array().unwrap() {
+                let [size, kept] = [&found["volume_mm3"], &found["kept"]].map(number);
+                let is_it = |l: &&Value| {
+                    l["region"] == name && (number(&l["volume_mm3"]) / size - 1.0).abs() < 1e-6
+                };
+                let is_listed = listed.iter().any(|l| is_it(&l));
+                // Sixty points decide on a component: only clear cases are compared.
+                if size > LEAST && kept <= 0.25 {
+                    assert!(
+                        is_listed,
+                        "{file}, {name}: {found} is lost and not in {listed:?}"
+                    );
+                    lost += 1;
+                }
+            }
+            for own in listed.iter().filter(|l| l["region"] == name) {
+                let same = |f: &&Value| {
+                    (number(&f["volume_mm3"]) / number(&own["volume_mm3"]) - 1.0).abs() < 1e-6
+                };
+                let largest = components["largest"].as_array().unwrap();
+                let gone = largest
+                    .iter()
+                    .filter(same)
+                    .any(|f| number(&f["kept"]) <= 0.75);
+                assert!(gone, "{file}, {name}: {own} is listed and not lost");
+            }
+        }
+        println!(
+            "{file}: {lost} lost components agree, {} are listed",
+            listed.len()
+        );
     }
 }

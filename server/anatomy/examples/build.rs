@@ -140,16 +140,19 @@ fn describe(report: &BuildReport) {
     for r in &report.regions {
         let per = 1.0 / report.spacing_mm;
         println!(
-            "  {:<12.12} {:>7} nodes, volume {:+.2} %, {} of {} pieces; in spacings: out {:.3} {:.2}, in {:.3} {:.2}, outside thin {:.3} {:.2}",
+            "  {:<12.12} {:>7} nodes, volume {:+.2} %, {} of {} pieces (and {} crumbs), Dice {:.4}, {:.0} mm3 differ; in spacings: out {:.3} {:.2}, in {:.3} {:.2}, outside thin {:.3} {:.2}",
             r.name,
             r.nodes,
             100.0 * (r.volume_mm3 / r.input_volume_mm3 - 1.0),
             r.components,
             r.input_components,
+            r.input_crumbs,
+            r.dice,
+            r.difference_mm3,
             r.surface_distance_mean_mm * per,
             r.surface_distance_max_mm * per,
-            r.input_distance_mean_mm * per,
-            r.input_distance_max_mm * per,
+            r.input_distance_mean_mm.unwrap_or_default() * per,
+            r.input_distance_max_mm.unwrap_or_default() * per,
             r.distance_mean_outside_thin_mm * per,
             r.distance_max_outside_thin_mm * per,
         );

@@ -36,12 +36,13 @@ pub mod scene;
 pub mod surface;
 
 pub use build::{
-    BUILD_NODES_MAX, BarReport, BuildReport, CORNER_FLOOR, DISTANCE_REACH, GRID_CELLS_MAX,
-    GapReport, Layer, LayerReport, Layers, NEIGHBOURS_MAX, Progress, QualityReport, RegionReport,
+    BUILD_NODES_MAX, BarReport, BuildReport, COMPONENTS_MAX, CORNER_FLOOR, CRUMB_MM3,
+    ComponentLoss, ComponentReport, ContactReport, GRID_CELLS_MAX, GapReport, KEPT_MIN, Layer,
+    LayerReport, Layers, MergedComponent, NEIGHBOURS_MAX, Progress, QualityReport, RegionReport,
     SPRING_FLOOR, SpacingReport, SpringCounts, SurfaceReport, THIN_PARTS_MAX, ThinKind, ThinPart,
     ThinParts, build, region_surface,
 };
 pub use error::InputError;
 pub use labels::LabelVolume;
-pub use scene::{RegionSource, Scene, SceneInput, SceneRegion};
+pub use scene::{RegionSource, Scene, SceneInput, SceneRegion, Thresholds};
 pub use surface::{Aabb, CheckReport, Surface, Unit};

@@ -67,6 +67,7 @@ fn model(
         regions: (0..boxes.len()).map(region).collect(),
         materials: (0..boxes.len()).map(material).collect(),
         auto_spacing: false,
+        thresholds: palpate_anatomy::Thresholds::default(),
         fuse: Vec::new(),
         pinned: Vec::new(),
         gravity_m_s2: [0.0; 3],

@@ -102,7 +102,7 @@ impl Bvh {
         self.corners(&self.triangles[index])
     }
 
-    /// The number of one triangle.
+    /// The tag of one triangle.
     pub(super) fn tag(&self, index: usize) -> u16 {
         self.triangles[index].tag
     }
@@ -116,20 +116,26 @@ impl Bvh {
         self.nearest_of(point, reach, |_| true)
     }
 
+    /// The same on the triangles whose tag `accept` takes.
+    pub(super) fn nearest_tagged(
+        &self,
+        point: &Vec3,
+        reach: f64,
+        accept: impl Fn(u16) -> bool,
+    ) -> Option<Vec3> {
+        self.nearest_of(point, reach, |triangle| accept(triangle.tag))
+    }
+
     /// The same on the triangles that face along `way`.
     pub(super) fn nearest_facing(&self, point: &Vec3, reach: f64, way: &Vec3) -> Option<Vec3> {
-        self.nearest_of(point, reach, |[a, b, c]| {
+        self.nearest_of(point, reach, |triangle| {
+            let [a, b, c] = triangle.corners.map(|p| local(&p));
             (b - a).cross(&(c - a)).dot(way) > 0.0
         })
     }
 
     /// The same on the triangles that `accept` takes.
-    fn nearest_of(
-        &self,
-        point: &Vec3,
-        reach: f64,
-        accept: impl Fn(&[Vec3; 3]) -> bool,
-    ) -> Option<Vec3> {
+    fn nearest_of(&self, point: &Vec3, reach: f64, accept: impl Fn(&Flat) -> bool) -> Option<Vec3> {
         if self.nodes.is_empty() {
             return None;
         }
@@ -150,14 +156,10 @@ impl Bvh {
                 let from = node.start as usize;
                 for triangle in &self.triangles[from..from + node.count as usize] {
                     let [a, b, c] = &triangle.corners;
-                    if box_of(&triangle.corners).distance_squared(&at) > best {
+                    if box_of(&triangle.corners).distance_squared(&at) > best || !accept(triangle) {
                         continue;
                     }
-                    let corners = [local(a), local(b), local(c)];
-                    if !accept(&corners) {
-                        continue;
-                    }
-                    let candidate = nearest_on(&at, &corners);
+                    let candidate = nearest_on(&at, &[local(a), local(b), local(c)]);
                     let distance = (candidate - at).norm_squared();
                     if distance < best || (distance == best && found.is_none()) {
                         best = distance;

@@ -5,16 +5,18 @@ use palpate_tissue::cell::scaled_jacobian;
 use palpate_tissue::{Model, RegionId, Vec3};
 use rayon::prelude::*;
 
+use super::component_loss::counts;
 use super::faces::{Face, OUTSIDE, volumes};
 use super::interface_samples::Sample;
 use super::interfaces::{Interface, Interfaces};
 use super::layers::{Layers, surface_of};
+use super::overlap::Overlap;
 use super::quality::{CORNER_FLOOR, SPRING_FLOOR, passes, shortest_spring, worst_corner};
+use super::region_distances::{from_input, from_model};
 use super::report::{
     LayerReport, QualityReport, RegionReport, SpringCounts, SurfaceReport, report_triangles,
 };
 use super::thin::Collector;
-use crate::Aabb;
 
 /// A node farther than this from its interface, in spacings, is listed with its position.
 const STRAY: f64 = 0.5;
@@ -150,8 +152,7 @@ pub(super) struct Compared<'a> {
     pub(super) interfaces: &'a Interfaces,
     pub(super) samples: &'a [Sample],
     pub(super) thin: &'a Collector<'a>,
-    /// Boxes around the closed parts of each input surface.
-    pub(super) parts: &'a [Vec<Aabb>],
+    pub(super) overlap: &'a Overlap,
     pub(super) input_volumes: &'a [f64],
 }
 
@@ -163,6 +164,8 @@ pub(super) fn regions(compared: &Compared<'_>) -> (Vec<RegionReport>, Vec<Stray>
     let volumes = volumes(faces, &model.nodes, regions);
     let nodes = nodes_of(compared);
     let at_corners = corner_distances(compared);
+    let from_input = from_input(model, faces, compared.interfaces);
+    let from_model = from_model(compared.samples, regions);
     let in_middles: Vec<Found> = faces
         .par_iter()
         .map(|face| {
@@ -179,9 +182,12 @@ pub(super) fn regions(compared: &Compared<'_>) -> (Vec<RegionReport>, Vec<Stray>
             .collect()
     };
     let (surfaces, components) = rayon::join(surfaces, || components(model));
+    let input_components = counts(&compared.overlap.components, regions);
     let reports = (0..regions)
         .map(|r| {
-            let mut model_side = Distances::default();
+            let overlap = &compared.overlap.volumes[r];
+            let [whole, crumbs] = input_components[r];
+            let mut model_side = SoundDistances::default();
             for (face, &(middle, thin)) in faces.iter().zip(&in_middles) {
                 if usize::from(face.region) == r || usize::from(face.other) == r {
                     model_side.put(f64::from(middle), 1.0, thin);
@@ -193,27 +199,33 @@ pub(super) fn regions(compared: &Compared<'_>) -> (Vec<RegionReport>, Vec<Stray>
                     }
                 }
             }
-            let mut input_side = Distances::default();
+            let mut input_side = SoundDistances::default();
             for s in compared.samples {
                 if usize::from(s.behind) == r || usize::from(s.before) == r {
                     input_side.put(s.distance, s.area, compared.thin.is_marked(&s.at));
                 }
             }
+            let (from_input, from_model) = (from_input[r].unwrap_or_default(), from_model[r]);
             RegionReport {
                 name: model.regions[r].name.clone(),
                 nodes: nodes[r],
                 volume_mm3: volumes[r] * 1e9,
                 input_volume_mm3: compared.input_volumes[r] * 1e9,
+                dice: overlap.dice(),
+                difference_mm3: overlap.difference() * 1e9,
+                difference_part: overlap.difference_part(),
                 components: components[r],
                 surface: surfaces[r],
-                input_components: compared.parts[r].len(),
-                surface_distance_mean_mm: model_side.mean() * 1e3,
-                surface_distance_max_mm: model_side.max * 1e3,
-                input_distance_mean_mm: input_side.mean() * 1e3,
-                input_distance_max_mm: input_side.max * 1e3,
-                distance_mean_outside_thin_mm: model_side.sound_mean().max(input_side.sound_mean())
-                    * 1e3,
-                distance_max_outside_thin_mm: model_side.sound_max.max(input_side.sound_max) * 1e3,
+                input_components: whole,
+                input_crumbs: crumbs,
+                surface_distance_mean_mm: from_input.mean * 1e3,
+                surface_distance_p99_mm: from_input.p99 * 1e3,
+                surface_distance_max_mm: from_input.max * 1e3,
+                input_distance_mean_mm: from_model.map(|d| d.mean * 1e3),
+                input_distance_p99_mm: from_model.map(|d| d.p99 * 1e3),
+                input_distance_max_mm: from_model.map(|d| d.max * 1e3),
+                distance_mean_outside_thin_mm: model_side.mean().max(input_side.mean()) * 1e3,
+                distance_max_outside_thin_mm: model_side.max.max(input_side.max) * 1e3,
             }
         })
         .collect();
@@ -254,34 +266,20 @@ fn nodes_of(compared: &Compared<'_>) -> Vec<usize> {
     nodes
 }
 
+/// Distances outside of thin parts.
 #[derive(Debug, Default)]
-struct Distances {
+struct SoundDistances {
     sum: f64,
     weight: f64,
     max: f64,
-    /// The same outside of thin parts.
-    sound_sum: f64,
-    sound_weight: f64,
-    sound_max: f64,
 }
 
-impl Distances {
+impl SoundDistances {
     fn put(&mut self, distance: f64, weight: f64, thin: bool) {
-        self.sum += distance * weight;
-        self.weight += weight;
-        self.max = self.max.max(distance);
         if !thin {
-            self.sound_sum += distance * weight;
-            self.sound_weight += weight;
-            self.sound_max = self.sound_max.max(distance);
-        }
-    }
-
-    fn sound_mean(&self) -> f64 {
-        if self.sound_weight > 0.0 {
-            self.sound_sum / self.sound_weight
-        } else {
-            0.0
+            self.sum += distance * weight;
+            self.weight += weight;
+            self.max = self.max.max(distance);
         }
     }
 

@@ -44,6 +44,14 @@ impl Face {
         }
     }
 
+    /// Its middle, and its area in m².
+    pub(super) fn middle_and_area(&self, positions: &[Vec3]) -> (Vec3, f64) {
+        let [a, b, c, d] = self.corners(positions);
+        let [p, q] = [(b, c), (c, d)].map(|(p, q)| (p - a).cross(&(q - a)).norm());
+        let area = f64::midpoint(p, q);
+        ((a + b + c + d) / 4.0, area)
+    }
+
     /// A third of the flux of the position vector about `origin` through the bilinear face: summed
     /// over a closed surface this is its volume, as [`palpate_tissue::cell::cell_volume`] measures it.
     pub(super) fn flux(&self, positions: &[Vec3], origin: &Vec3) -> f64 {

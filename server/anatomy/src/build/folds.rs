@@ -184,5 +184,6 @@ mod tests {
         let [folded, thin] = ["inside out in part", "thinner"]
             .map(|what| report.warnings.iter().filter(|w| w.contains(what)).count());
         assert_eq!([folded, thin], [1, 0], "{:?}", report.warnings);
+        assert!(report.deviations >= 1, "{report:?}");
     }
 }

@@ -508,6 +508,24 @@ mod tests {
     }
 
     #[test]
+    fn parts_that_stay_apart_are_reported_neither_joined_nor_in_contact() {
+        for gap in [0.35, 0.45, 0.6] {
+            for ([a, b], way) in pairs(gap) {
+                let (_, report) = built(SPACING * 1e3, &[("a", both(a.clone(), &b))]);
+                let region = &report.regions[0];
+                assert_eq!(
+                    [region.components, region.input_components],
+                    [2, 2],
+                    "{gap} {way}"
+                );
+                assert_eq!(report.component_loss.merged, [], "{gap} {way}");
+                let (_, report) = built(SPACING * 1e3, &[("a", a), ("b", b)]);
+                assert_eq!(report.contacts, [], "{gap} {way}");
+            }
+        }
+    }
+
+    #[test]
     fn piece_of_few_cells_stays_attached() {
         let joined = balls([0.018, 0.0018], 0.3).map(|pair| {
             let [a, b] = pair.0.clone();
@@ -547,6 +565,9 @@ mod tests {
             let (model, report) = build(&input, &mut |_, _| {}).unwrap();
             assert!(shared(&model, |c| model.cells[c].region.index()) > 20);
             assert_eq!(report.gaps, []);
+            // The contact is new, and intended.
+            assert!(report.contacts[0].created_mm2 > 100.0);
+            assert_eq!(report.deviations, 0, "{:?}", report.warnings);
         }
     }
 

@@ -54,6 +54,12 @@ impl Grid {
         self.cells.map(|n| n + 1)
     }
 
+    /// The cell that contains a point, or the nearest one.
+    pub(super) fn cell_at(&self, at: &Vec3) -> [usize; 3] {
+        let cell = (at - self.origin) / self.spacing;
+        std::array::from_fn(|a| (cell[a].max(0.0) as usize).min(self.cells[a] - 1))
+    }
+
     /// Index of a cell, x fastest.
     pub(super) fn cell_index(&self, at: [usize; 3]) -> usize {
         at[0] + self.cells[0] * (at[1] + self.cells[1] * at[2])

@@ -8,13 +8,10 @@ use super::folds::{Fold, Folds};
 use super::inside::PointQuery;
 use super::lattice::Lattice;
 use super::mending::Mending;
-use super::{BUILD_NODES_MAX, GRID_CELLS_MAX, RegionReport};
+use super::{BUILD_NODES_MAX, GRID_CELLS_MAX};
 use crate::scene::SceneInput;
 use crate::surface::in_mm;
 use crate::{Aabb, InputError, Surface};
-
-/// Relative difference between the volume of a region and its input above which the report warns.
-const VOLUME_WARNING: f64 = 0.01;
 
 /// Part of the cells of the grid that may be flipped without a warning.
 const FLIPPED_WARNING: f64 = 0.005;
@@ -162,8 +159,13 @@ pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> InputError {
     ))
 }
 
-/// Warns of surfaces that overlap themselves or are inside out in part.
-pub(super) fn folds(input: &SceneInput, folds: &[(usize, Folds)], warnings: &mut Vec<String>) {
+/// Warns of surfaces that overlap themselves or are inside out in part. Returns the regions of these.
+pub(super) fn folds(
+    input: &SceneInput,
+    folds: &[(usize, Folds)],
+    warnings: &mut Vec<String>,
+) -> Vec<usize> {
+    let mut faulty = Vec::new();
     for (r, found) in folds {
         let name = &input.scene.regions[*r].name;
         let size = |fold: &Fold| {
@@ -174,6 +176,9 @@ pub(super) fn folds(input: &SceneInput, folds: &[(usize, Folds)], warnings: &mut
             format!("{:.0} mm³ ({percent:.1} %){place}", fold.volume * 1e9)
         };
         let [repeated, inverted] = found.reported();
+        if repeated.is_some() || inverted.is_some() {
+            faulty.push(*r);
+        }
         if let Some(fold) = repeated {
             warnings.push(format!(
                 "the surface of region {name:?} overlaps itself: {} lie inside it more than once; the model \
@@ -189,6 +194,7 @@ pub(super) fn folds(input: &SceneInput, folds: &[(usize, Folds)], warnings: &mut
             ));
         }
     }
+    faulty
 }
 
 /// Warns of changes to the labels.
@@ -215,36 +221,5 @@ pub(super) fn mending(
     let pieces = lattice.pieces();
     if pieces > 1 {
         warnings.push(format!("the model is in {pieces} separate pieces"));
-    }
-}
-
-/// Warns of regions that differ from their input.
-pub(super) fn regions(regions: &[RegionReport], warnings: &mut Vec<String>) {
-    for region in regions {
-        let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
-        if region.input_volume_mm3 <= 0.0 {
-            warnings.push(format!(
-                "region {:?} is wholly covered by later regions; nothing of it is in the model",
-                region.name
-            ));
-        } else if region.nodes == 0 {
-            warnings.push(format!(
-                "region {:?} has no cell at this spacing: it is thinner than half the spacing everywhere",
-                region.name
-            ));
-        } else if error.abs() > VOLUME_WARNING {
-            warnings.push(format!(
-                "region {:?} has {:+.1} % of its input volume too much or too little; parts of it \
-                 are thinner than the spacing",
-                region.name,
-                100.0 * error
-            ));
-        } else if region.components > region.input_components {
-            warnings.push(format!(
-                "region {:?} is in {} pieces where its surface has {}: it is thinner than the \
-                 spacing between them, or later regions part it",
-                region.name, region.components, region.input_components
-            ));
-        }
     }
 }

@@ -5,9 +5,9 @@ use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
 use super::bvh::Bvh;
-use super::faces::{Face, OUTSIDE};
-use super::inside::PointQuery;
-use super::interfaces::{Interface, Interfaces, halve, sides_of};
+use super::faces::Face;
+use super::interfaces::{Interfaces, halve, sides_of};
+use super::region_surfaces::ModelSurfaces;
 
 /// Longest side, in spacings, of a piece that one sample stands for.
 const SIDE_MAX: f64 = 1.0;
@@ -19,7 +19,7 @@ const CHUNK: usize = 1024;
 const LOOK: f64 = 0.02;
 /// Search radius for the model's interface around the input's, in spacings. A reported distance of this size is
 /// a lower bound.
-pub const DISTANCE_REACH: f64 = 3.0;
+const DISTANCE_REACH: f64 = 3.0;
 
 /// A point of an input interface.
 #[derive(Debug, Clone, Copy)]
@@ -30,18 +30,21 @@ pub(super) struct Sample {
     pub(super) area: f64,
     /// The region behind the interface.
     pub(super) behind: u16,
-    /// The region before it, or [`OUTSIDE`].
+    /// The region before it, or [`OUTSIDE`](super::faces::OUTSIDE).
     pub(super) before: u16,
     /// The layer beside it that is thinner than the spacing, if one is.
     pub(super) thin: Option<Thin>,
     /// Distance in m from the model's interface; [`DISTANCE_REACH`] spacings where there is none so near.
     pub(super) distance: f64,
+    /// Distance in m from the surface in the model of the region behind, and of the region before it; infinite where
+    /// the model has none.
+    pub(super) from_region: [f32; 2],
 }
 
 /// A layer that is thinner than the spacing.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Thin {
-    /// Its region, or [`OUTSIDE`] for a gap.
+    /// Its region, or [`OUTSIDE`](super::faces::OUTSIDE) for a gap.
     pub(super) region: u16,
     /// The region beyond it.
     pub(super) beyond: u16,
@@ -52,18 +55,18 @@ pub(super) struct Thin {
 /// Samples all interfaces of the input.
 pub(super) fn samples(
     interfaces: &Interfaces,
-    query: &PointQuery,
     faces: &[Face],
     positions: &[Vec3],
     middle: Vec3,
 ) -> Vec<Sample> {
+    let model = ModelSurfaces::new(interfaces, faces, positions, middle);
+    let by_region = model.by_region();
     let mut samples = Vec::new();
     for interface in interfaces.all() {
         let bvh = interfaces.bvh(interface);
         if bvh.is_empty() {
             continue;
         }
-        let own = model_surface(interface, faces, positions, middle);
         let chunks = bvh.len().div_ceil(CHUNK);
         let found: Vec<Vec<Sample>> = (0..chunks)
             .into_par_iter()
@@ -73,7 +76,13 @@ pub(super) fn samples(
                 spread(bvh, range, interfaces.spacing, &mut points);
                 points
                     .into_iter()
-                    .map(|p| measure(&p, interfaces, query, &own))
+                    .map(|p| {
+                        let mut sample = measure(&p, interfaces, model.of(interface));
+                        let regions = [sample.behind, sample.before];
+                        sample.from_region =
+                            regions.map(|r| by_region.distance(&sample.at, r, interface) as f32);
+                        sample
+                    })
                     .collect()
             })
             .collect();
@@ -84,24 +93,14 @@ pub(super) fn samples(
     samples
 }
 
-fn model_surface(interface: Interface, faces: &[Face], positions: &[Vec3], middle: Vec3) -> Bvh {
-    let triangles = faces
-        .iter()
-        .filter(|f| f.interface() == interface)
-        .flat_map(|f| f.triangles(positions))
-        .map(|t| Bvh::flat(&middle, &t.map(|n| positions[n as usize])))
-        .collect();
-    Bvh::new(middle, triangles)
-}
-
 /// A point to probe.
 struct Point {
     at: Vec3,
     /// Unit normal.
     normal: Vec3,
     area: f64,
-    /// The regions behind and before it, if known.
-    sides: Option<[u16; 2]>,
+    /// The regions behind and before it.
+    sides: [u16; 2],
 }
 
 fn spread(bvh: &Bvh, range: std::ops::Range<usize>, spacing: f64, points: &mut Vec<Point>) {
@@ -109,7 +108,7 @@ fn spread(bvh: &Bvh, range: std::ops::Range<usize>, spacing: f64, points: &mut V
     let mut last = None;
     for triangle in range {
         let corners = bvh.triangle(triangle);
-        let sides = sides_of(bvh, triangle);
+        let sides = sides_of(bvh.tag(triangle));
         let vector = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])) / 2.0;
         let Some(normal) = vector.try_normalize(0.0) else {
             continue;
@@ -150,8 +149,8 @@ fn spread(bvh: &Bvh, range: std::ops::Range<usize>, spacing: f64, points: &mut V
 struct Wall {
     /// Its distance in m.
     depth: f64,
-    /// The region beyond it, if known.
-    beyond: Option<u16>,
+    /// The region beyond it.
+    beyond: u16,
 }
 
 fn first_wall(interfaces: &Interfaces, from: &Vec3, way: &Vec3) -> Option<Wall> {
@@ -163,7 +162,7 @@ fn first_wall(interfaces: &Interfaces, from: &Vec3, way: &Vec3) -> Option<Wall> 
     let (depth, triangle, bvh) = met.min_by(|a, b| a.0.total_cmp(&b.0))?;
     let [a, b, c] = bvh.triangle(triangle);
     let leaves = (b - a).cross(&(c - a)).dot(way) > 0.0;
-    let beyond = sides_of(bvh, triangle).map(|sides| sides[usize::from(leaves)]);
+    let beyond = sides_of(bvh.tag(triangle))[usize::from(leaves)];
     Some(Wall { depth, beyond })
 }
 
@@ -175,13 +174,11 @@ fn measure(
         sides,
     }: &Point,
     interfaces: &Interfaces,
-    query: &PointQuery,
     own: &Bvh,
 ) -> Sample {
     let spacing = interfaces.spacing;
     let look = normal * (LOOK * spacing);
-    let region = |p: Vec3| query.region_at(p).map_or(OUTSIDE, |r| r as u16);
-    let [behind, before] = sides.unwrap_or_else(|| [region(at - look), region(at + look)]);
+    let [behind, before] = sides;
     let mut thin: Option<Thin> = None;
     for (side, of) in [(1.0, before), (-1.0, behind)] {
         let from = at + look * side;
@@ -191,11 +188,9 @@ fn measure(
         };
         let thickness = wall.depth + LOOK * spacing;
         if thin.is_none_or(|t| thickness < t.thickness) {
-            let beyond = wall.beyond;
-            let look_there = || region(at + normal * (side * (thickness + LOOK * spacing)));
             thin = Some(Thin {
                 region: of,
-                beyond: beyond.unwrap_or_else(look_there),
+                beyond: wall.beyond,
                 thickness,
             });
         }
@@ -209,5 +204,6 @@ fn measure(
         before,
         thin,
         distance,
+        from_region: [f32::INFINITY; 2],
     }
 }

@@ -9,7 +9,7 @@
 use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
-use super::bvh::{Bvh, Flat, NO_TAG};
+use super::bvh::{Bvh, Flat};
 use super::faces::OUTSIDE;
 use super::inside::PointQuery;
 use super::rim::{self, Rims};
@@ -20,6 +20,8 @@ use crate::labels::Sides;
 const PIECE_SIDE_MAX: f64 = 4.0;
 /// A piece of mixed kind is cut down to this side, in spacings.
 const PIECE_SIDE_MIN: f64 = 0.25;
+/// The same for a piece of one kind that has several regions on a side.
+const SIDES_PIECE_MIN: f64 = 0.5;
 /// Fraction of the way from the middle of a piece to its corners at which further probes are placed.
 const TOWARDS_CORNER: f64 = 0.9;
 /// Distance of the probes behind and before a piece, in spacings: far enough to clear rounding, near enough not
@@ -106,21 +108,20 @@ impl Interfaces {
     }
 }
 
-/// Tag of a triangle of an interface: the regions on its two sides.
-fn tag(sides: Sides) -> u16 {
-    // No scene has so many regions that this equals `NO_TAG`.
-    u16::from(sides.behind) << 8 | sides.before.map_or(0xff, u16::from)
+/// Tag of a triangle of an interface: the regions behind and before it, or [`OUTSIDE`].
+pub(super) fn tag([behind, before]: [u16; 2]) -> u16 {
+    // A scene has fewer regions than a byte counts.
+    (behind << 8) | (before & 0xff)
 }
 
-/// The regions behind and before a triangle of an interface, or [`OUTSIDE`], where they are known.
-pub(super) fn sides_of(bvh: &Bvh, triangle: usize) -> Option<[u16; 2]> {
-    let tag = bvh.tag(triangle);
+/// The regions behind and before a triangle of an interface with this tag, or [`OUTSIDE`].
+pub(super) fn sides_of(tag: u16) -> [u16; 2] {
     let before = if tag & 0xff == 0xff {
         OUTSIDE
     } else {
         tag & 0xff
     };
-    (tag != NO_TAG).then_some([tag >> 8, before])
+    [tag >> 8, before]
 }
 
 /// One interface of the model: the outer surface, or where region `r` overrides others.
@@ -183,7 +184,11 @@ impl Sorter<'_> {
             let has_sides = vector.try_normalize(0.0).is_some();
             let outer = has_sides && sides.before.is_none() && self.region == 0;
             let inner = has_sides && sides.before.is_some_and(|b| usize::from(b) < self.region);
-            let piece = Bvh::flat(self.origin, &corners).tagged(tag(*sides));
+            let (behind, before) = (
+                u16::from(sides.behind),
+                sides.before.map_or(OUTSIDE, u16::from),
+            );
+            let piece = Bvh::flat(self.origin, &corners).tagged(tag([behind, before]));
             if outer {
                 sorted.outer.push(piece);
             } else if inner {
@@ -218,11 +223,14 @@ impl Sorter<'_> {
             let fine = fine && halve(&piece, PIECE_SIDE_MIN * self.spacing).is_none();
             let here = if fine { at_corners[0] } else { kind(middle) };
             let whole = piece == *corners && at_corners == [here; 3];
-            // Near the border between interfaces a piece may have mixed kinds.
+            // Near the border between interfaces a piece may have mixed kinds. Where only the regions on its sides
+            // differ, larger pieces will do.
+            let coarse = halve(&piece, SIDES_PIECE_MIN * self.spacing).is_some();
             let mixed = || {
                 (piece.iter())
                     .map(|p| middle.lerp(p, TOWARDS_CORNER))
-                    .any(|p| kind(p) != here)
+                    .map(kind)
+                    .any(|other| other != here && (coarse || !other.is_like(here)))
             };
             if !whole
                 && let Some(halves) = halve(&piece, PIECE_SIDE_MIN * self.spacing)
@@ -231,15 +239,17 @@ impl Sorter<'_> {
                 stack.extend(halves);
                 continue;
             }
-            let (pieces, turned) = match here {
-                Kind::Outer { turned } => (&mut sorted.outer, turned),
-                Kind::Inner { turned } => (&mut sorted.inner, turned),
+            let (pieces, turned, sides) = match here {
+                Kind::Outer { turned, behind } => (&mut sorted.outer, turned, [behind, OUTSIDE]),
+                Kind::Inner { turned, before } => {
+                    (&mut sorted.inner, turned, [self.region as u16, before])
+                }
                 Kind::Hidden => continue,
             };
             any_turned |= turned;
             let [a, b, c] = piece;
             let outwards = if turned { [a, c, b] } else { piece };
-            pieces.push(Bvh::flat(self.origin, &outwards));
+            pieces.push(Bvh::flat(self.origin, &outwards).tagged(tag(sides)));
         }
         any_turned
     }
@@ -267,27 +277,48 @@ fn vertex_kinds(surface: &Surface, region: usize, query: &PointQuery, spacing: f
         .collect()
 }
 
-/// Classification of a piece of a region's surface; a turned piece faces into its region.
+/// Classification of a piece of a region's surface; a turned piece faces into its region. `behind` and `before` are the
+/// regions there once it faces outwards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
-    Outer { turned: bool },
-    Inner { turned: bool },
+    Outer { turned: bool, behind: u16 },
+    Inner { turned: bool, before: u16 },
     Hidden,
+}
+
+impl Kind {
+    /// Whether two kinds differ in the regions on their sides only.
+    fn is_like(self, other: Self) -> bool {
+        match (self, other) {
+            (Self::Outer { turned: a, .. }, Self::Outer { turned: b, .. })
+            | (Self::Inner { turned: a, .. }, Self::Inner { turned: b, .. }) => a == b,
+            (Self::Hidden, Self::Hidden) => true,
+            _ => false,
+        }
+    }
 }
 
 /// Probes behind and before a point of the surface of `region`.
 fn kind(region: usize, query: &PointQuery, at: Vec3, look: Vec3) -> Kind {
     match [at - look, at + look].map(|p| query.region_at(p)) {
         // Flat ends that several regions share are of this kind for each of these regions.
-        [Some(_), None] => Kind::Outer { turned: false },
-        [None, Some(_)] if query.contains(region, at + look) => Kind::Outer { turned: true },
+        [Some(behind), None] => Kind::Outer {
+            turned: false,
+            behind: behind as u16,
+        },
+        [None, Some(behind)] if query.contains(region, at + look) => Kind::Outer {
+            turned: true,
+            behind: behind as u16,
+        },
         // Before a later region, the wall of the later region stands in the same position and counts instead.
-        [Some(behind), Some(before)] if behind == region && before < region => {
-            Kind::Inner { turned: false }
-        }
-        [Some(behind), Some(before)] if before == region && behind < region => {
-            Kind::Inner { turned: true }
-        }
+        [Some(behind), Some(before)] if behind == region && before < region => Kind::Inner {
+            turned: false,
+            before: before as u16,
+        },
+        [Some(behind), Some(before)] if before == region && behind < region => Kind::Inner {
+            turned: true,
+            before: behind as u16,
+        },
         _ => Kind::Hidden,
     }
 }

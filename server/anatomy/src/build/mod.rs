@@ -18,7 +18,10 @@ mod bar;
 mod bridge;
 mod bvh;
 mod compare;
+mod component_loss;
 mod constraint;
+mod contact_change;
+mod deviations;
 mod faces;
 mod folds;
 mod gaps;
@@ -32,9 +35,12 @@ mod lattice;
 mod layers;
 mod mending;
 mod occupancy_grid;
+mod overlap;
 mod parts;
 mod quality;
 mod rays;
+mod region_distances;
+mod region_surfaces;
 mod relax;
 mod report;
 mod rim;
@@ -48,8 +54,11 @@ mod untangle;
 mod volume_correction;
 mod walls;
 
+pub use component_loss::{
+    COMPONENTS_MAX, CRUMB_MM3, ComponentLoss, ComponentReport, KEPT_MIN, MergedComponent,
+};
+pub use contact_change::ContactReport;
 pub use gaps::GapReport;
-pub use interface_samples::DISTANCE_REACH;
 pub use layers::{Layer, Layers, NEIGHBOURS_MAX, region_surface};
 pub use quality::{CORNER_FLOOR, SPRING_FLOOR};
 pub(crate) use report::report_triangles;
@@ -59,7 +68,7 @@ pub use report::{
 };
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 
-use crate::scene::SceneInput;
+use crate::scene::{Scene, SceneInput};
 use crate::{Aabb, InputError, Surface};
 use grid::Grid;
 use palpate_tissue::cell::NO_CELL;
@@ -89,19 +98,14 @@ pub fn build(
     let mut warnings = input.warnings.clone();
 
     progress("measuring the input", 0.0);
-    let (spacing, spacing_search) = if input.scene.auto_spacing {
-        let (spacing, search) = spacing::find(&surfaces, input.scene.spacing_m);
-        (spacing, Some(search))
-    } else {
-        (input.scene.spacing_m, None)
-    };
+    let (spacing, spacing_search) = spacing_of(&input.scene, &surfaces);
     input_check::size(&surfaces, spacing)?;
     let grid = Grid::around(&surfaces, spacing);
     let query = inside::PointQuery::new(&surfaces, grid.middle(), spacing);
     input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
     let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &mut walls);
-    input_check::folds(input, &folds, &mut warnings);
+    let folded = input_check::folds(input, &folds, &mut warnings);
     prefer_voxels(&mut input_volumes, input);
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
@@ -116,6 +120,7 @@ pub fn build(
     progress("sorting the interfaces", 0.2);
     let interfaces =
         interfaces::Interfaces::new(&surfaces, &input.sides, &query, spacing, grid.middle());
+    drop(query);
     let faces = faces::faces(&lattice.cells);
     let placed = position_nodes(
         &grid,
@@ -131,7 +136,7 @@ pub fn build(
 
     progress("looking for thin parts", 0.8);
     let nodes = &placed.positions;
-    let samples = interface_samples::samples(&interfaces, &query, &faces, nodes, grid.middle());
+    let samples = interface_samples::samples(&interfaces, &faces, nodes, grid.middle());
     let mut collector = thin::Collector::of(&grid, &samples, &mending.crumbs, &lost, &parts);
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
@@ -148,6 +153,7 @@ pub fn build(
     model.resolve_fibres();
 
     progress("comparing with the input", 0.9);
+    let overlap = overlap::InputRays::of(input, &grid, &surfaces).compare(&model, &faces);
     let (regions, strays) = compare::regions(&compare::Compared {
         model: &model,
         around: &around,
@@ -155,16 +161,15 @@ pub fn build(
         interfaces: &interfaces,
         samples: &samples,
         thin: &collector,
-        parts: &parts,
+        overlap: &overlap,
         input_volumes: &input_volumes,
     });
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
-    input_check::regions(&regions, &mut warnings);
     input_check::hanging(&model, &mut warnings);
     let gaps = gaps::reports(&model, &opened);
     let figures = figures(&model, &faces, &names);
-    let report = BuildReport {
+    let mut report = BuildReport {
         nodes: model.nodes.len(),
         cells: model.cells.len(),
         layers: figures.layers,
@@ -181,12 +186,26 @@ pub fn build(
         },
         bars: figures.bars,
         thin: collector.finish(&names),
+        component_loss: component_loss::losses(&overlap.components, &names, &input.scene),
+        contacts: contact_change::contacts(&grid, &samples, &faces, &model.nodes, &names),
         gaps,
         topology_hash: figures.topology_hash,
+        deviations: 0,
         warnings,
     };
+    deviations::warn(&mut report, &folded, &input.scene);
     progress("done", 1.0);
     Ok((model, report))
+}
+
+/// The spacing in m, and how it was found if the scene leaves it to the builder.
+fn spacing_of(scene: &Scene, surfaces: &[&Surface]) -> (f64, Option<SpacingReport>) {
+    if scene.auto_spacing {
+        let (spacing, search) = spacing::find(surfaces, scene.spacing_m);
+        (spacing, Some(search))
+    } else {
+        (scene.spacing_m, None)
+    }
 }
 
 /// Labels the cells and numbers the lattice. Also returns the repairs of the labels, and the lost parts of the input.

@@ -25,7 +25,8 @@ pub(super) struct Rays {
 }
 
 impl Rays {
-    fn position(&self, ray: [usize; 2]) -> [f64; 2] {
+    /// u and v of a ray.
+    pub(super) fn position(&self, ray: [usize; 2]) -> [f64; 2] {
         [
             self.first[0] + ray[0] as f64 * self.step,
             self.first[1] + ray[1] as f64 * self.step,
@@ -140,11 +141,15 @@ impl Winding {
 
 /// Sends the rays through the surface.
 pub(super) fn cast(surface: &Surface, rays: &Rays) -> Hits {
-    let found: Vec<(u32, Hit)> = surface
-        .triangles
+    cast_at(&surface.vertices, &surface.triangles, rays)
+}
+
+/// Sends the rays through triangles over these vertices.
+pub(super) fn cast_at(vertices: &[Vec3], triangles: &[[u32; 3]], rays: &Rays) -> Hits {
+    let found: Vec<(u32, Hit)> = triangles
         .par_iter()
         .fold(Vec::new, |mut found, triangle| {
-            let corners = triangle.map(|v| surface.vertices[v as usize]);
+            let corners = triangle.map(|v| vertices[v as usize]);
             cast_triangle(&corners, rays, &mut found);
             found
         })

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::component_loss::ComponentLoss;
+use super::contact_change::ContactReport;
 use super::gaps::GapReport;
 use super::thin::ThinParts;
 use crate::surface::{Edges, Sets};
@@ -35,11 +37,20 @@ pub struct BuildReport {
     /// Parts thinner than the spacing, and parts of the input that were lost.
     #[serde(default)]
     pub thin: ThinParts,
+    /// Components of the input that were lost, or joined with others.
+    #[serde(default)]
+    pub component_loss: ComponentLoss,
+    /// Pairs of regions that touch in the model where they do not in the input, or the reverse.
+    #[serde(default)]
+    pub contacts: Vec<ContactReport>,
     /// Gaps of the input that stay open although no cell is empty there.
     #[serde(default)]
     pub gaps: Vec<GapReport>,
     /// Topology hash of the uncut model, hexadecimal.
     pub topology_hash: String,
+    /// Number of warnings about faulty input surfaces, and about deviations beyond the thresholds of the scene.
+    #[serde(default)]
+    pub deviations: usize,
     /// Warnings for the user, one sentence each.
     pub warnings: Vec<String>,
 }
@@ -89,26 +100,46 @@ pub struct RegionReport {
     pub volume_mm3: f64,
     /// Volume of its input surface less what later regions take, in mm³.
     pub input_volume_mm3: f64,
+    /// Dice coefficient of the region of the model and that of the input: twice the common volume over the sum of both.
+    #[serde(default)]
+    pub dice: f64,
+    /// Volume that one of the two has and the other has not, in mm³.
+    #[serde(default)]
+    pub difference_mm3: f64,
+    /// The same as a part of the input volume.
+    #[serde(default)]
+    pub difference_part: f64,
     /// Pieces of cells that share faces.
     #[serde(default)]
     pub components: usize,
     /// Its surface over the model's own nodes.
     #[serde(default)]
     pub surface: SurfaceReport,
-    /// Closed parts of its input surface.
+    /// Connected components of its input, less what later regions take, without crumbs.
     #[serde(default)]
     pub input_components: usize,
-    /// Mean distance of its interfaces from the input surfaces, in mm.
+    /// Further components, each below 1 mm³.
+    #[serde(default)]
+    pub input_crumbs: usize,
+    /// Mean distance of its surface from that of the same region of the input, in mm.
     pub surface_distance_mean_mm: f64,
+    /// 99th percentile of it, by area.
+    #[serde(default)]
+    pub surface_distance_p99_mm: f64,
     /// Largest such distance, in mm.
     pub surface_distance_max_mm: f64,
-    /// Mean distance of the input surfaces from its interfaces, in mm.
+    /// Mean distance of the surface of the input's region from that of the same region of the model, in mm. Like the
+    /// next two it is left out where the model has nothing of the region.
     #[serde(default)]
-    pub input_distance_mean_mm: f64,
+    pub input_distance_mean_mm: Option<f64>,
+    /// 99th percentile of it, by area.
+    #[serde(default)]
+    pub input_distance_p99_mm: Option<f64>,
     /// Largest such distance, in mm.
     #[serde(default)]
-    pub input_distance_max_mm: f64,
-    /// Mean distance outside of thin parts, in mm: the larger one of the two directions.
+    pub input_distance_max_mm: Option<f64>,
+    /// Mean distance of its interfaces from those of the input outside of thin parts, in mm: the larger one of the two
+    /// directions.
     #[serde(default)]
     pub distance_mean_outside_thin_mm: f64,
     /// Largest distance in either direction outside of thin parts, in mm.

@@ -3,8 +3,6 @@
 //! Neighbouring rays are a quarter of a cell apart, and stretches of one region side by side are connected. So
 //! even a part too thin for a cell of its own is assigned to the part it is connected to.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 
 use super::grid::Grid;
@@ -16,7 +14,7 @@ use crate::surface::Sets;
 /// Rays across a cell along x and along y.
 pub(super) const RAYS_PER_CELL: usize = 4;
 
-/// A gap or a strand that is shorter than this, in cells, is rounding.
+/// A gap or a strand that is shorter than this, in units of the rays, is rounding.
 pub(super) const NOTHING: f64 = 1e-6;
 
 /// Parts of the input closer together than this, in spacings, touch.
@@ -26,14 +24,26 @@ const GAP_MIN: f64 = 1.0 / RAYS_PER_CELL as f64;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Strand {
     pub(super) region: u8,
-    /// Where it begins and ends, in cells along z.
+    /// Where it begins and ends: in cells along z, or in the unit of the rays.
     pub(super) from: f64,
     pub(super) to: f64,
 }
 
-/// The strands of all rays along z, overlaps resolved.
+/// The strands of a row of rays, and their number up to the end of each ray.
+pub(super) type Row = (Vec<u32>, Vec<Strand>);
+
+/// How strands side by side are connected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Touching {
+    /// By a common face: neighbouring rays have a stretch in common.
+    Face,
+    /// By a common face or edge, as voxels are.
+    Edge,
+}
+
+/// The strands of parallel rays, overlaps resolved.
 pub(super) struct Strands {
-    /// Rays along x.
+    /// Rays of a row.
     width: usize,
     /// First strand of each ray, and one past the last of all.
     start: Vec<u32>,
@@ -43,7 +53,7 @@ pub(super) struct Strands {
 }
 
 impl Strands {
-    /// Sends rays through all surfaces.
+    /// Sends rays along z through all surfaces.
     pub(super) fn new(grid: &Grid, surfaces: &[&Surface]) -> Self {
         let step = grid.spacing / RAYS_PER_CELL as f64;
         let rays = Rays {
@@ -53,11 +63,20 @@ impl Strands {
             count: [0, 1].map(|a| grid.cells[a] * RAYS_PER_CELL),
         };
         let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
+        Self::of_hits(&hits, &rays, grid.origin.z, grid.spacing)
+    }
+
+    /// The strands of rays with the hits of each region's surface, measured from `origin` in this unit.
+    pub(super) fn of_hits(hits: &[Hits], rays: &Rays, origin: f64, unit: f64) -> Self {
         let [width, height] = rays.count;
-        let rows: Vec<(Vec<u32>, Vec<Strand>)> = (0..height)
-            .into_par_iter()
-            .map(|v| row(grid, &hits, &rays, v))
-            .collect();
+        let at = |depth: f64| (depth - origin) / unit;
+        let rows = (0..height).into_par_iter();
+        let rows: Vec<Row> = rows.map(|v| row(hits, rays, v, &at)).collect();
+        Self::of_rows(width, rows, Touching::Face)
+    }
+
+    /// The strands of rows of `width` rays each.
+    pub(super) fn of_rows(width: usize, rows: Vec<Row>, touching: Touching) -> Self {
         let mut this = Self {
             width,
             start: vec![0],
@@ -69,7 +88,7 @@ impl Strands {
             this.start.extend(ends.iter().map(|e| before + e));
             this.all.append(&mut strands);
         }
-        this.join();
+        this.join(touching);
         this
     }
 
@@ -81,6 +100,16 @@ impl Strands {
             .zip(self.parts[range].iter().copied())
     }
 
+    /// Number of rays in a row, and of rows.
+    pub(super) fn size(&self) -> [usize; 2] {
+        [self.width, (self.start.len() - 1) / self.width.max(1)]
+    }
+
+    /// Number of strands; parts have smaller numbers.
+    pub(super) fn len(&self) -> usize {
+        self.all.len()
+    }
+
     /// The pairs of parts that touch along a ray, or at one height of two neighbouring rays: a gap of a quarter of
     /// a cell always has a ray in it. Both ways, sorted.
     pub(super) fn touching(&self) -> Vec<[u32; 2]> {
@@ -90,8 +119,7 @@ impl Strands {
             .map(|row| {
                 let mut pairs = Vec::new();
                 for ray in row * self.width..(row + 1) * self.width {
-                    let own = self.range(ray);
-                    for strand in own.clone().skip(1) {
+                    for strand in self.range(ray).skip(1) {
                         if self.all[strand].from - self.all[strand - 1].to < GAP_MIN {
                             self.pair(strand - 1, strand, &mut pairs);
                         }
@@ -99,7 +127,7 @@ impl Strands {
                     let right = Some(ray + 1).filter(|r| r % self.width != 0);
                     let above = Some(ray + self.width).filter(|r| *r < rays);
                     for other in [right, above].into_iter().flatten() {
-                        self.side_by_side(own.clone(), self.range(other), |a, b| {
+                        self.side_by_side([ray, other], false, |a, b| {
                             self.pair(a, b, &mut pairs);
                         });
                     }
@@ -122,45 +150,66 @@ impl Strands {
         }
     }
 
-    fn range(&self, ray: usize) -> Range<usize> {
+    fn range(&self, ray: usize) -> std::ops::Range<usize> {
         self.start[ray] as usize..self.start[ray + 1] as usize
     }
 
     /// Connects adjacent strands.
-    fn join(&mut self) {
+    fn join(&mut self, touching: Touching) {
         let mut sets = Sets::new(self.all.len());
-        for ray in 0..self.start.len() - 1 {
-            if (ray + 1) % self.width != 0 {
-                self.join_rays(&mut sets, ray, ray + 1);
+        let (width, rays) = (self.width, self.start.len() - 1);
+        let edges = touching == Touching::Edge;
+        for ray in 0..rays {
+            let column = ray % width;
+            let above = ray + width < rays;
+            if column + 1 < width {
+                self.join_rays(&mut sets, [ray, ray + 1], edges);
             }
-            if ray + self.width < self.start.len() - 1 {
-                self.join_rays(&mut sets, ray, ray + self.width);
+            if above {
+                self.join_rays(&mut sets, [ray, ray + width], edges);
+            }
+            if edges && above && column + 1 < width {
+                self.join_rays(&mut sets, [ray, ray + width + 1], false);
+            }
+            if edges && above && column > 0 {
+                self.join_rays(&mut sets, [ray, ray + width - 1], false);
             }
         }
         let all = 0..self.all.len() as u32;
         self.parts = all.map(|strand| sets.find(strand)).collect();
     }
 
-    fn join_rays(&self, sets: &mut Sets, one: usize, other: usize) {
-        self.side_by_side(self.range(one), self.range(other), |a, b| {
+    /// Connects the strands of two rays that have a stretch in common, or with `ends` at least an end.
+    fn join_rays(&self, sets: &mut Sets, [one, other]: [usize; 2], ends: bool) {
+        self.side_by_side([one, other], ends, |a, b| {
             if self.all[a].region == self.all[b].region {
                 sets.join(a as u32, b as u32);
             }
         });
     }
 
-    /// Calls `each` with the strands of two rays that have a height in common.
+    /// Calls `each` with the strands of two rays that have a stretch in common, or with `ends` at least an end.
     fn side_by_side(
         &self,
-        one: Range<usize>,
-        other: Range<usize>,
+        [one, other]: [usize; 2],
+        ends: bool,
         mut each: impl FnMut(usize, usize),
     ) {
+        let (one, other) = (self.range(one), self.range(other));
+        let mut meet = |a: usize, b: usize| {
+            let (s, t) = (&self.all[a], &self.all[b]);
+            let (from, to) = (s.from.max(t.from), s.to.min(t.to));
+            if from < to || (ends && from <= to) {
+                each(a, b);
+            }
+        };
         let (mut a, mut b) = (one.start, other.start);
         while a < one.end && b < other.end {
             let (s, t) = (&self.all[a], &self.all[b]);
-            if s.from.max(t.from) < s.to.min(t.to) {
-                each(a, b);
+            meet(a, b);
+            // Where both end together, each also meets the next one of the other.
+            if ends && s.to == t.to && a + 1 < one.end {
+                meet(a + 1, b);
             }
             if s.to < t.to {
                 a += 1;
@@ -171,9 +220,7 @@ impl Strands {
     }
 }
 
-/// The strands of a row of rays, and their number up to the end of each ray.
-fn row(grid: &Grid, hits: &[Hits], rays: &Rays, v: usize) -> (Vec<u32>, Vec<Strand>) {
-    let at = |z: f64| (z - grid.origin.z) / grid.spacing;
+fn row(hits: &[Hits], rays: &Rays, v: usize, at: &(impl Fn(f64) -> f64 + Sync)) -> Row {
     let mut strands: Vec<Strand> = Vec::new();
     let mut ends = Vec::with_capacity(rays.count[0]);
     let mut sweep = Sweep::default();

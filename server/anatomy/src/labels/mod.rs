@@ -22,10 +22,12 @@ mod nifti;
 mod nrrd;
 mod samples;
 mod volume;
+mod voxel_runs;
 
 pub use affine::Affine;
-pub use extract::{LabelRegion, NET_VERTICES_MAX, RegionSurface, Sides, surfaces};
+pub use extract::{LabelRegion, NET_VERTICES_MAX, RegionSurface, Sides, surfaces, voxel_runs};
 pub use volume::LabelVolume;
+pub use voxel_runs::{VoxelRun, VoxelRuns};
 
 /// Most voxels of one volume. Reason: a whole body at 0.7 mm in the slice and 2 mm along has about 250 million;
 /// as labels they take half a gigabyte. Beyond the bound the volume is rejected unread.

@@ -19,7 +19,7 @@ use palpate_tissue::file::write_file;
 use palpate_tissue::material::{MaterialOverride, nearest_name};
 
 use crate::InputError;
-use crate::scene::{RegionSource, Scene, SceneInput, SceneRegion};
+use crate::scene::{RegionSource, Scene, SceneInput, SceneRegion, Thresholds};
 use crate::surface::{Surface, Unit};
 
 /// A built-in sample.
@@ -47,6 +47,19 @@ pub struct SampleFiles {
     pub scene: Scene,
     /// File name and surface of each region, in scene order.
     pub surfaces: Vec<(String, Surface)>,
+}
+
+/// Contacts of fewer cell faces than this, and components smaller than a cell, are below the resolution of a sample: its
+/// report does not warn of them.
+const FACES_MIN: f64 = 5.0;
+
+fn thresholds(spacing_m: f64) -> Thresholds {
+    let spacing_mm = spacing_m * 1e3;
+    Thresholds {
+        contact_mm2: FACES_MIN * spacing_mm.powi(2),
+        component_mm3: spacing_mm.powi(3),
+        ..Thresholds::default()
+    }
 }
 
 impl Sample {
@@ -84,6 +97,7 @@ impl Sample {
         let scene = Scene {
             spacing_m: body.spacing_m,
             auto_spacing: false,
+            thresholds: thresholds(body.spacing_m),
             fuse: Vec::new(),
             pinned: body.pinned.iter().map(|&name| name.to_owned()).collect(),
             gravity_m_s2: [0.0; 3],

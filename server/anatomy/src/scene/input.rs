@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{RegionSource, Scene};
 use crate::InputError;
-use crate::labels::{self, LabelRegion, LabelVolume, Sides};
+use crate::labels::{self, LabelRegion, LabelVolume, Sides, VoxelRuns};
 use crate::surface::Surface;
 
 /// Voxels up to this part of the spacing are joined before their surfaces are extracted. Half a spacing is the
@@ -21,6 +21,8 @@ pub struct SceneInput {
     /// For each region, the volume in m³ of its own voxels when all regions come from one label volume; `None`
     /// when only its surface defines the volume.
     pub voxels_m3: Vec<Option<f64>>,
+    /// The voxels of all regions when all come from one label volume.
+    pub voxels: Option<VoxelRuns>,
     /// For each region, the regions on the sides of each triangle of its surface when all regions come from one
     /// label volume. The first surface encloses all, so nothing lies before it. Empty when the builder has to
     /// search for the sides.
@@ -37,6 +39,7 @@ impl SceneInput {
         let mut input = Self {
             surfaces: vec![Surface::default(); scene.regions.len()],
             voxels_m3: vec![None; scene.regions.len()],
+            voxels: None,
             sides: vec![Vec::new(); scene.regions.len()],
             warnings: Vec::new(),
             scene,
@@ -67,6 +70,7 @@ impl SceneInput {
         );
         let mut input = Self {
             voxels_m3: vec![None; surfaces.len()],
+            voxels: None,
             sides: vec![Vec::new(); surfaces.len()],
             warnings: Vec::new(),
             surfaces,
@@ -120,6 +124,9 @@ impl SceneInput {
         let finest_m = self.scene.spacing_m * FINEST;
         let found = labels::surfaces(&volume, &path, &regions, wrap, finest_m)?;
         let alone = members.len() == self.scene.regions.len();
+        if alone {
+            self.voxels = Some(labels::voxel_runs(&volume, &path, &regions)?);
+        }
         for (r, found) in members.into_iter().zip(found) {
             self.surfaces[r] = found.surface;
             if alone {

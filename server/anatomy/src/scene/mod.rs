@@ -22,6 +22,13 @@
 //!
 //! poisson = 0.3                    # any key of a material: for this region alone
 //!
+//! [report]                         # optional: deviations from the input that the build warns of, here the defaults
+//! dice = 0.9                       # Dice coefficient of a region, at least
+//! volume_percent = 1.0             # error of its volume
+//! distance_mm = 8.0                # between its surfaces in model and input; two spacings unless given
+//! contact_mm2 = 10.0               # contact area of two regions that was created or removed
+//! component_mm3 = 1.0              # lost or merged components, from this volume on
+//!
 //! [material.fat]                   # optional: changes a built-in material or adds a new one
 //! young_kpa = 10.0
 //! ```
@@ -64,10 +71,12 @@ mod keys;
 mod materials;
 mod parse;
 mod source;
+mod thresholds;
 mod write;
 
 pub use input::SceneInput;
 pub use source::RegionSource;
+pub use thresholds::Thresholds;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -123,6 +132,8 @@ pub struct Scene {
     pub gravity_m_s2: [f64; 3],
     /// In scene order: a later region overrides an earlier one where they overlap.
     pub regions: Vec<SceneRegion>,
+    /// `[report]` table: deviations from which the build report warns.
+    pub thresholds: Thresholds,
     /// `[material.NAME]` tables: changes to built-in materials, and new ones.
     pub materials: BTreeMap<String, MaterialOverride>,
     /// The folder that paths of surfaces and label volumes are relative to.

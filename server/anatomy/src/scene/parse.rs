@@ -13,11 +13,12 @@ use super::keys::Text;
 use super::materials::{MATERIAL_KEYS, change, materials};
 use super::{
     GRAVITY_MAX_M_S2, REGIONS_MAX, RegionSource, SCENE_BYTES_MAX, SCENE_FORMAT, Scene, SceneRegion,
+    Thresholds,
 };
 use crate::InputError;
 use crate::surface::Unit;
 
-const SCENE_KEYS: [&str; 9] = [
+const SCENE_KEYS: [&str; 10] = [
     "format",
     "spacing_mm",
     "spacing_min_mm",
@@ -26,6 +27,7 @@ const SCENE_KEYS: [&str; 9] = [
     "fuse",
     "gravity_m_s2",
     "region",
+    "report",
     "material",
 ];
 const REGION_KEYS: [&str; 6] = ["name", "surface", "label", "labels", "material", "unit"];
@@ -84,6 +86,7 @@ fn read(text: &Text, base: PathBuf) -> Result<Scene, InputError> {
         auto_spacing,
         gravity_m_s2: gravity(text, root, !pinned.is_empty())?,
         pinned,
+        thresholds: Thresholds::read(text, root)?,
         fuse: fuse(text, root, &regions)?,
         regions,
         materials,

@@ -61,6 +61,10 @@ impl Scene {
             writeln!(out, "material = {}", quoted(&region.material))?;
             write_change(out, &region.change)?;
         }
+        for (n, (key, value)) in self.thresholds.changed().into_iter().enumerate() {
+            let head = if n == 0 { "\n[report]\n" } else { "" };
+            writeln!(out, "{head}{key} = {}", number(value))?;
+        }
         for (name, change) in &self.materials {
             writeln!(out, "\n[material.{}]", quoted(name))?;
             write_change(out, change)?;

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use palpate_anatomy::{RegionSource, Scene, SceneInput, SceneRegion, Surface, Unit, build};
+use palpate_anatomy::{
+    RegionSource, Scene, SceneInput, SceneRegion, Surface, Thresholds, Unit, build,
+};
 use palpate_tissue::material::MaterialOverride;
 use palpate_tissue::{Budget, Material, Model, Shape, Tissue, Tool, Vec3};
 
@@ -56,6 +58,7 @@ pub(super) fn built(
         regions: (0..parts.len()).map(region).collect(),
         materials: parts.iter().enumerate().map(own).collect(),
         auto_spacing: false,
+        thresholds: Thresholds::default(),
         pinned: Vec::new(),
         fuse: Vec::new(),
         gravity_m_s2: [0.0; 3],

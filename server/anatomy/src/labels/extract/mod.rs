@@ -25,7 +25,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::LabelVolume;
+use super::{LabelVolume, VoxelRuns};
 use crate::scene::REGIONS_MAX;
 use crate::{InputError, Surface};
 pub use net::NET_VERTICES_MAX;
@@ -111,6 +111,15 @@ pub fn surfaces(
         }
     });
     Ok(found.collect())
+}
+
+/// The voxels of `regions` in a volume that was read from `path` (for messages only).
+pub fn voxel_runs(
+    volume: &LabelVolume,
+    path: &Path,
+    regions: &[LabelRegion],
+) -> Result<VoxelRuns, InputError> {
+    Ok(VoxelRuns::new(volume, &region_of(volume, path, regions)?))
 }
 
 /// Region number plus one for each label, or [`OUTSIDE`]; labels that do not occur are rejected.

@@ -1,0 +1,551 @@
+//! Volume that the model and its input have in common, and the connected components of the input.
+//!
+//! Parallel rays run through both, and stretches of one region in both are counted: nine rays per cell column, or
+//! along the rows of a label volume. The model is then measured against the voxels instead of the surface that was
+//! extracted from them. The distance of these rays is no whole fraction of a voxel, so that they meet the steps between
+//! rows at all heights; rays in the middle of voxels would never see them. Components of labels are exact.
+
+use nalgebra::Matrix3;
+use palpate_tissue::{Model, RegionId, Vec3};
+use rayon::prelude::*;
+
+use super::faces::Face;
+use super::grid::Grid;
+use super::layers::surface_of;
+use super::rays::{Hits, Rays, cast, cast_at};
+use super::strands::{Strand, Strands, Touching};
+use crate::Surface;
+use crate::labels::{Affine, VoxelRuns};
+use crate::scene::SceneInput;
+
+/// The frame that the rays run in.
+struct Frame {
+    to_world: Affine,
+    rays: Rays,
+    /// Volume in m³ that a unit of a ray stands for.
+    volume: f64,
+}
+
+/// The input as stretches of rays.
+pub(super) struct InputRays {
+    frame: Frame,
+    strands: Strands,
+    /// Rows of voxels that the strands follow; without them there is a row per ray.
+    rows: Option<Rows>,
+}
+
+/// Rows of voxels.
+struct Rows {
+    to_world: Affine,
+    /// Along j and k.
+    count: [usize; 2],
+    /// Distance of rays in rows.
+    step: [f64; 2],
+}
+
+/// Rays across a cell, along y and along z.
+const RAYS_ACROSS: usize = 3;
+
+/// Distance of rays in parts of a row that several rays share evenly; an irrational number.
+const UNEVEN: f64 = 0.866_025_403_784_438_6;
+
+/// Volumes of a region in m³.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Volumes {
+    pub(super) input: f64,
+    pub(super) model: f64,
+    pub(super) common: f64,
+}
+
+impl Volumes {
+    /// Dice coefficient; 1 for two empty regions.
+    pub(super) fn dice(&self) -> f64 {
+        let sum = self.input + self.model;
+        if sum > 0.0 {
+            2.0 * self.common / sum
+        } else {
+            1.0
+        }
+    }
+
+    /// Volume of the symmetric difference in m³.
+    pub(super) fn difference(&self) -> f64 {
+        (self.input + self.model - 2.0 * self.common).max(0.0)
+    }
+
+    /// The same as a part of the input; 0 where there is no input.
+    pub(super) fn difference_part(&self) -> f64 {
+        if self.input > 0.0 {
+            self.difference() / self.input
+        } else {
+            0.0
+        }
+    }
+}
+
+/// A connected component of a region of the input, less what later regions take.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Component {
+    pub(super) region: u8,
+    /// Volume in m³.
+    pub(super) volume: f64,
+    /// Part of the volume that the model's region has in common with it.
+    pub(super) kept: f64,
+    /// The middle of its longest stretch: a point inside.
+    pub(super) at: Vec3,
+    /// The component of the model's region that has most of it.
+    pub(super) within: Option<u32>,
+}
+
+/// The model against its input.
+pub(super) struct Overlap {
+    /// Of each region.
+    pub(super) volumes: Vec<Volumes>,
+    pub(super) components: Vec<Component>,
+}
+
+impl InputRays {
+    /// Rays through the voxels of a scene, or through its surfaces where not all regions come from one label volume.
+    pub(super) fn of(input: &SceneInput, grid: &Grid, surfaces: &[&Surface]) -> Self {
+        match &input.voxels {
+            Some(voxels) => Self::of_voxels(voxels, grid.spacing),
+            None => Self::of_surfaces(grid, surfaces),
+        }
+    }
+
+    fn of_surfaces(grid: &Grid, surfaces: &[&Surface]) -> Self {
+        let step = grid.spacing / RAYS_ACROSS as f64;
+        // Along x: the cells were chosen by rays along z.
+        let rays = Rays {
+            axis: 0,
+            first: [1, 2].map(|a| grid.origin[a] + step / 2.0),
+            step,
+            count: [1, 2].map(|a| grid.cells[a] * RAYS_ACROSS),
+        };
+        let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
+        Self {
+            strands: Strands::of_hits(&hits, &rays, 0.0, 1.0),
+            frame: Frame {
+                to_world: Affine {
+                    linear: Matrix3::identity(),
+                    origin: Vec3::zeros(),
+                },
+                rays,
+                volume: step * step,
+            },
+            rows: None,
+        }
+    }
+
+    /// Rays along the rows of a label volume, at most half a spacing and at most a row apart.
+    fn of_voxels(voxels: &VoxelRuns, spacing: f64) -> Self {
+        let sides = voxels.to_world.spacing_m();
+        let step = [1, 2].map(|a| UNEVEN / (2.0 * sides[a] / spacing).ceil().max(1.0));
+        // In the frame, rays are a unit apart. They begin beyond the image, where the model may end.
+        let scale = [1.0, step[0], step[1]];
+        let to_world = Affine {
+            linear: Matrix3::from_fn(|r, c| voxels.to_world.linear[(r, c)] * scale[c]),
+            origin: voxels.to_world.origin,
+        };
+        let margin = [0, 1].map(|a| (spacing / (sides[a + 1] * step[a])).ceil());
+        let count = [voxels.size[1], voxels.size[2]];
+        let rays = Rays {
+            axis: 0,
+            first: [0, 1].map(|a| 0.5 - margin[a] - 0.5 / step[a]),
+            step: 1.0,
+            count: [0, 1].map(|a| (count[a] as f64 / step[a] + 2.0 * margin[a]).ceil() as usize),
+        };
+        let rows = (0..count[1]).into_par_iter().map(|k| {
+            let (mut ends, mut strands) = (Vec::with_capacity(count[0]), Vec::new());
+            for j in 0..count[0] {
+                strands.extend(voxels.row([j, k]).iter().map(|run| {
+                    let [from, to] = run.range.map(|i| f64::from(i) - 0.5);
+                    let region = run.region;
+                    Strand { region, from, to }
+                }));
+                ends.push(strands.len() as u32);
+            }
+            (ends, strands)
+        });
+        Self {
+            strands: Strands::of_rows(count[0], rows.collect(), Touching::Edge),
+            frame: Frame {
+                volume: to_world.determinant().abs(),
+                to_world,
+                rays,
+            },
+            rows: Some(Rows {
+                to_world: voxels.to_world,
+                count,
+                step,
+            }),
+        }
+    }
+
+    /// The row of strands that a ray passes through; none beyond a label volume.
+    fn row_of(&self, ray: [usize; 2]) -> Option<[usize; 2]> {
+        let Some(rows) = &self.rows else {
+            return Some(ray);
+        };
+        let at = self.frame.rays.position(ray);
+        let row = [0, 1].map(|a| (at[a] * rows.step[a] + 0.5).floor());
+        let within = (0..2).all(|a| row[a] >= 0.0 && row[a] < rows.count[a] as f64);
+        within.then(|| row.map(|r| r as usize))
+    }
+
+    /// The position in the world at a depth of a row of strands.
+    fn point(&self, row: [usize; 2], depth: f64) -> Vec3 {
+        let (to_world, [y, z]) = match &self.rows {
+            Some(rows) => (&rows.to_world, row.map(|r| r as f64)),
+            None => (&self.frame.to_world, self.frame.rays.position(row)),
+        };
+        to_world.world(&Vec3::new(depth, y, z))
+    }
+
+    /// Volume in m³ that a unit of a strand stands for.
+    fn strand_volume(&self) -> f64 {
+        let rows = self.rows.as_ref();
+        rows.map_or(self.frame.volume, |rows| rows.to_world.determinant().abs())
+    }
+
+    /// Compares the model with the input.
+    pub(super) fn compare(&self, model: &Model, faces: &[Face]) -> Overlap {
+        let own = self.frame.strands_of(model, faces);
+        let unit = self.frame.volume;
+        let rows: Vec<RowSums> = (0..self.frame.rays.count[1])
+            .into_par_iter()
+            .map(|v| self.row_sums(&own, v, model.regions.len()))
+            .collect();
+        let mut volumes = vec![Volumes::default(); model.regions.len()];
+        for row in &rows {
+            for (sums, one) in volumes.iter_mut().zip(&row.volumes) {
+                sums.input += one.input * unit;
+                sums.model += one.model * unit;
+                sums.common += one.common * unit;
+            }
+        }
+        let mut shared: Vec<Shared> = rows.into_iter().flat_map(|r| r.shared).collect();
+        merge(&mut shared);
+        Overlap {
+            volumes,
+            components: self.components(&shared),
+        }
+    }
+
+    /// The components of the input, in the order of their first strands.
+    fn components(&self, shared: &[Shared]) -> Vec<Component> {
+        const NONE: u32 = u32::MAX;
+        let unit = self.strand_volume();
+        let mut slots = vec![NONE; self.strands.len()];
+        let mut components: Vec<Component> = Vec::new();
+        let mut longest: Vec<f64> = Vec::new();
+        let [width, height] = self.strands.size();
+        for (v, u) in (0..height).flat_map(|v| (0..width).map(move |u| (v, u))) {
+            for (strand, part) in self.strands.of([u, v]) {
+                let slot = &mut slots[part as usize];
+                if *slot == NONE {
+                    *slot = components.len() as u32;
+                    longest.push(0.0);
+                    components.push(Component {
+                        region: strand.region,
+                        volume: 0.0,
+                        kept: 0.0,
+                        at: Vec3::zeros(),
+                        within: None,
+                    });
+                }
+                let (own, longest) = (
+                    &mut components[*slot as usize],
+                    &mut longest[*slot as usize],
+                );
+                let length = strand.to - strand.from;
+                own.volume += length * unit;
+                if length > *longest {
+                    *longest = length;
+                    own.at = self.point([u, v], f64::midpoint(strand.from, strand.to));
+                }
+            }
+        }
+        for same in shared.chunk_by(|a, b| a.input == b.input) {
+            let own = &mut components[slots[same[0].input as usize] as usize];
+            let sum = |common: bool| -> f64 {
+                let lengths = same.iter().filter(|s| s.model.is_some() == common);
+                // The sum of no numbers would be -0.
+                lengths.fold(0.0, |sum, s| sum + s.length)
+            };
+            own.kept = sum(true) / sum(false);
+            // At equal volumes the first one, so that the result does not depend on the order of rows.
+            let common = same.iter().rev().filter(|s| s.model.is_some());
+            let most = common.max_by(|a, b| a.length.total_cmp(&b.length));
+            own.within = most.and_then(|s| s.model);
+        }
+        components
+    }
+}
+
+impl Frame {
+    /// The model along the rays.
+    fn strands_of(&self, model: &Model, faces: &[Face]) -> Strands {
+        let back = self
+            .to_world
+            .linear
+            .try_inverse()
+            .unwrap_or_else(Matrix3::identity);
+        let place = |p: &Vec3| back * (p - self.to_world.origin);
+        let nodes: Vec<Vec3> = model.nodes.par_iter().map(place).collect();
+        let hits = (0..model.regions.len() as u16).map(|r| {
+            let triangles = surface_of(model, faces, RegionId(r));
+            cast_at(&nodes, &triangles, &self.rays)
+        });
+        let hits: Vec<Hits> = hits.collect();
+        Strands::of_hits(&hits, &self.rays, 0.0, 1.0)
+    }
+}
+
+/// Length of rays in a component of the input: of all, or of those in a component of the same region of the model.
+#[derive(Debug, Clone, Copy)]
+struct Shared {
+    input: u32,
+    model: Option<u32>,
+    length: f64,
+}
+
+/// Sums of a row of rays.
+struct RowSums {
+    /// Lengths, of each region.
+    volumes: Vec<Volumes>,
+    shared: Vec<Shared>,
+}
+
+impl InputRays {
+    fn row_sums(&self, model: &Strands, v: usize, regions: usize) -> RowSums {
+        let mut sums = RowSums {
+            volumes: vec![Volumes::default(); regions],
+            shared: Vec::new(),
+        };
+        for u in 0..self.frame.rays.count[0] {
+            for (strand, _) in model.of([u, v]) {
+                sums.volumes[usize::from(strand.region)].model += strand.to - strand.from;
+            }
+            if let Some(row) = self.row_of([u, v]) {
+                sums.add(self.strands.of(row), model.of([u, v]));
+            }
+        }
+        merge(&mut sums.shared);
+        sums
+    }
+}
+
+impl RowSums {
+    /// Adds a ray through input and model.
+    fn add<'a>(
+        &mut self,
+        input: impl Iterator<Item = (&'a Strand, u32)>,
+        model: impl Iterator<Item = (&'a Strand, u32)>,
+    ) {
+        let mut model = model.peekable();
+        for (a, part) in input {
+            self.volumes[usize::from(a.region)].input += a.to - a.from;
+            self.shared.push(Shared {
+                input: part,
+                model: None,
+                length: a.to - a.from,
+            });
+            while let Some((b, own)) = model.peek() {
+                let length = a.to.min(b.to) - a.from.max(b.from);
+                if a.region == b.region && length > 0.0 {
+                    self.volumes[usize::from(a.region)].common += length;
+                    self.shared.push(Shared {
+                        input: part,
+                        model: Some(*own),
+                        length,
+                    });
+                }
+                if a.to < b.to {
+                    break;
+                }
+                model.next();
+            }
+        }
+    }
+}
+
+/// Sorts by components and adds up the lengths of equal pairs.
+fn merge(shared: &mut Vec<Shared>) {
+    // A stable sort: the sums have one order.
+    shared.sort_by_key(|s| (s.input, s.model));
+    shared.dedup_by(|next, kept| {
+        let same = (next.input, next.model) == (kept.input, kept.model);
+        if same {
+            kept.length += next.length;
+        }
+        same
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::faces::faces;
+    use super::super::tests::{both, built, cuboid};
+    use super::*;
+    use crate::LabelVolume;
+
+    fn mm(x: f64, y: f64, z: f64) -> Vec3 {
+        Vec3::new(x, y, z) * 1e-3
+    }
+
+    fn body() -> Surface {
+        cuboid(mm(-40.0, -40.0, -40.0), mm(40.0, 40.0, 40.0))
+    }
+
+    #[test]
+    fn dice_and_difference_are_those_of_a_shifted_box() {
+        let (low, high) = (mm(0.0, 0.0, 0.0), mm(40.0, 32.0, 24.0));
+        let still = cuboid(low, high);
+        let (model, report) = built(4.0, &[("box", still.clone())]);
+        assert!(report.regions[0].dice > 0.9999, "{report:?}");
+        // Exact along the rays, and to half a ray at each side across them.
+        for (shift, error) in [
+            (mm(5.0, 0.0, 0.0), 1e-3),
+            (mm(0.0, 6.0, 0.0), 1.4 / 32.0),
+            (mm(0.0, 0.0, -3.3), 1.4 / 24.0),
+        ] {
+            let moved = cuboid(low + shift, high + shift);
+            let grid = Grid::around(&[&still, &moved], 4e-3);
+            let rays = InputRays::of_surfaces(&grid, &[&moved]);
+            let volumes = rays.compare(&model, &faces(&model.cells)).volumes[0];
+            let size = high - low;
+            let common = (size - shift.abs()).product() / size.product();
+            assert!(
+                (volumes.dice() - common).abs() < error,
+                "{shift} {volumes:?} {common}"
+            );
+        }
+    }
+
+    #[test]
+    fn lost_component_and_its_distance_are_named_per_region() {
+        // A chip flush with the outer wall: the outer surface is near, that of its own region is not.
+        let bone = both(
+            cuboid(mm(-30.0, -20.0, -20.0), mm(0.0, 20.0, 20.0)),
+            &cuboid(mm(37.0, -2.0, -2.0), mm(40.0, 2.0, 2.0)),
+        );
+        let (_, report) = built(6.0, &[("body", body()), ("bone", bone)]);
+        let region = &report.regions[1];
+        assert!((region.volume_mm3 / region.input_volume_mm3 - 1.0).abs() < 0.01);
+        assert_eq!([region.components, region.input_components], [1, 2]);
+        let [lost] = report.component_loss.lost.as_slice() else {
+            panic!("{:?}", report.component_loss);
+        };
+        assert_eq!((lost.region.as_str(), lost.kept), ("bone", 0.0));
+        assert!((lost.volume_mm3 - 48.0).abs() < 0.1, "{lost:?}");
+        assert!(
+            (lost.at_mm[0] - 38.5).abs() < 0.1 && lost.at_mm[1].abs() < 2.0,
+            "{lost:?}"
+        );
+        let far = region.input_distance_max_mm.unwrap();
+        assert!((37.0..42.0).contains(&far), "{far}");
+        assert!(
+            report.regions[0].input_distance_max_mm.unwrap() < 6.0,
+            "{report:?}"
+        );
+        // Five sides of the chip touch the body, one is outside.
+        let [contact] = report.contacts.as_slice() else {
+            panic!("{:?}", report.contacts);
+        };
+        assert!((contact.removed_mm2 - 64.0).abs() < 12.0, "{contact:?}");
+        assert_eq!(contact.created_mm2, 0.0, "{contact:?}");
+        let named = |what: &str| report.warnings.iter().filter(|w| w.contains(what)).count();
+        assert_eq!(
+            named("a component of region \"bone\" of 48"),
+            1,
+            "{:?}",
+            report.warnings
+        );
+        assert_eq!(
+            named("surface in the input is up to"),
+            1,
+            "{:?}",
+            report.warnings
+        );
+        assert_eq!(named("do not in the model"), 1, "{:?}", report.warnings);
+        assert_eq!(report.deviations, 3, "{:?}", report.warnings);
+    }
+
+    #[test]
+    fn fused_bones_are_named_with_their_gap() {
+        let left = || cuboid(mm(-20.0, -15.0, -15.0), mm(0.1, 15.0, 15.0));
+        let right = || cuboid(mm(0.25, -15.0, -15.0), mm(20.0, 15.0, 15.0));
+        let (_, report) = built(
+            4.0,
+            &[("body", body()), ("femur", left()), ("tibia", right())],
+        );
+        let pair = ["femur".to_owned(), "tibia".to_owned()];
+        let contact = report.contacts.iter().find(|c| c.regions == pair);
+        let contact = contact.unwrap_or_else(|| panic!("{:?}", report.contacts));
+        assert_eq!(contact.input_mm2, 0.0);
+        assert_eq!(contact.created_mm2, contact.model_mm2);
+        assert!(
+            (400.0..1000.0).contains(&contact.created_mm2),
+            "{contact:?}"
+        );
+        assert!(
+            (contact.gap_min_mm.unwrap() - 0.15).abs() < 0.01,
+            "{contact:?}"
+        );
+        assert!(contact.created_at_mm.unwrap()[0].abs() < 2.0, "{contact:?}");
+        assert!(
+            report.component_loss.merged.is_empty(),
+            "{:?}",
+            report.component_loss
+        );
+
+        let (_, report) = built(4.0, &[("body", body()), ("bone", both(left(), &right()))]);
+        let [merged] = report.component_loss.merged.as_slice() else {
+            panic!("{:?}", report.component_loss);
+        };
+        assert!(
+            (merged.component.volume_mm3 - 19.75 * 900.0).abs() < 1000.0,
+            "{merged:?}"
+        );
+        let places = [merged.component.at_mm[0], merged.with_mm[0]];
+        assert!(
+            (places[0] - 10.125).abs() < 0.1 && (places[1] + 9.95).abs() < 0.1,
+            "{merged:?}"
+        );
+        assert!(report.component_loss.lost.is_empty());
+    }
+
+    #[test]
+    fn voxels_that_share_an_edge_are_one_component_and_those_that_share_a_corner_are_not() {
+        // From the voxel at (1, 1, 1), the other one is one step away along these axes.
+        let steps = (1..27).map(|n| [n % 3, n / 3 % 3, n / 9]);
+        for step in steps.filter(|s| *s != [1, 1, 1]) {
+            let mut labels = vec![0_u16; 27];
+            labels[13] = 1;
+            labels[step[0] + 3 * step[1] + 9 * step[2]] = 1;
+            let volume = LabelVolume {
+                size: [3; 3],
+                labels,
+                to_world: Affine {
+                    linear: Matrix3::identity() * 2e-3,
+                    origin: mm(10.0, 0.0, 0.0),
+                },
+                warnings: Vec::new(),
+            };
+            let region = crate::labels::LabelRegion { labels: vec![1] };
+            let voxels = crate::labels::voxel_runs(&volume, "a.nii".as_ref(), &[region]).unwrap();
+            for spacing in [1e-3, 4e-3] {
+                let components = InputRays::of_voxels(&voxels, spacing).components(&[]);
+                let away = step.iter().filter(|s| **s != 1).count();
+                assert_eq!(
+                    components.len(),
+                    if away == 3 { 2 } else { 1 },
+                    "{step:?} {spacing}"
+                );
+                let volume: f64 = components.iter().map(|c| c.volume).sum();
+                assert!((volume * 1e9 - 16.0).abs() < 1e-9, "{step:?} {volume}");
+            }
+        }
+    }
+}
