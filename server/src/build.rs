@@ -172,15 +172,21 @@ fn describe_regions(r: &BuildReport, text: &mut String) {
     );
     for region in &r.regions {
         let error = 100.0 * (region.volume_mm3 / region.input_volume_mm3 - 1.0);
+        // Reports of earlier versions have neither.
+        let dice = if region.dice == 0.0 && region.difference_mm3 == 0.0 {
+            "-".to_owned()
+        } else {
+            format!("{:.4}", region.dice)
+        };
         let _ = writeln!(
             text,
-            "{:<24} {:>9} {:>12.3} {:>12.3} {:>8.2} {:>7.4} {:>8.2} {:>7}",
+            "{:<24} {:>9} {:>12.3} {:>12.3} {:>8.2} {:>7} {:>8.2} {:>7}",
             region.name,
             region.nodes,
             region.volume_mm3 / 1e3,
             region.input_volume_mm3 / 1e3,
             error,
-            region.dice,
+            dice,
             100.0 * region.difference_part,
             format!("{}/{}", region.components, region.input_components),
         );

@@ -1,6 +1,6 @@
 //! Figures of a cut topology.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use palpate_tissue::cell::{FACES, NO_CELL, PAIRS, scaled_jacobian};
 use palpate_tissue::{CutOutcome, FaceId, SweptSurface, Topology};
@@ -111,13 +111,10 @@ pub(super) fn path_distance_mm(
         let corners = topology.corners(face.cell());
         FACES[face.face()].map(|i| corners[i])
     });
-    let from_bone = |new: u32| {
-        let pairs = outcome.doubled.iter();
-        pairs
-            .filter(|d| topology.is_pinned(d.1))
-            .any(|d| d.0 == new)
-    };
-    let free = nodes.filter(|&n| !topology.is_pinned(n) && !from_bone(n));
+    let doubled = outcome.doubled.iter();
+    let from_bone = doubled.filter(|d| topology.is_pinned(d.1)).map(|d| d.0);
+    let from_bone: BTreeSet<u32> = from_bone.collect();
+    let free = nodes.filter(|n| !topology.is_pinned(*n) && !from_bone.contains(n));
     let distances = free.filter_map(|n| surface.distance_m(&topology.rest(n)));
     distances.fold(0.0, f64::max) * MM
 }

@@ -35,6 +35,8 @@ pub(super) fn warn(report: &mut BuildReport, folded: &[usize], scene: &Scene) {
     };
     of_contacts(&report.contacts, thresholds, fused, &mut warnings);
     report.deviations = folded.len() + warnings.len();
+    // No threshold decides on these: pieces of the model and components of the input are counted in different ways.
+    warnings.extend(report.regions.iter().filter_map(of_pieces));
     report.warnings.append(&mut warnings);
 }
 
@@ -97,12 +99,15 @@ fn of_region(
              (threshold {most} mm); {cause}"
         ));
     }
-    if region.components > region.input_components {
-        warnings.push(format!(
-            "region {name:?} is in {} pieces where its input has {}: it is thinner than the spacing between them",
-            region.components, region.input_components
-        ));
-    }
+}
+
+fn of_pieces(region: &RegionReport) -> Option<String> {
+    (region.components > region.input_components).then(|| {
+        format!(
+            "region {:?} is in {} pieces where its input has {}: it is thinner than the spacing between them",
+            region.name, region.components, region.input_components
+        )
+    })
 }
 
 fn of_components(loss: &ComponentLoss, warnings: &mut Vec<String>) {

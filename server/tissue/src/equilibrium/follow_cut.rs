@@ -54,6 +54,7 @@ impl Solver {
         }
         coarse.is_outer_restricted = false;
         fine.follow(topology, &self.hierarchy, change);
+        fine.receive_at_parted(&self.hierarchy, coarse, change);
         if is_return {
             fine.rebase(&self.hierarchy, coarse, change, &current);
         }
@@ -171,6 +172,24 @@ impl FineLevel {
         Current {
             nodes,
             points: of_levels,
+        }
+    }
+
+    /// Counts the displacements of the coarser levels as received at nodes that were parted from pinned ones, which
+    /// follow no element: so no such node jumps.
+    fn receive_at_parted(
+        &mut self,
+        hierarchy: &Hierarchy,
+        coarse: &Multigrid,
+        change: &HierarchyChange,
+    ) {
+        let doubled = change.outcomes.iter().flat_map(|o| &o.doubled);
+        for &(new, from) in doubled {
+            if self.fixed[from as usize] {
+                let n = new as usize;
+                let total = &coarse.grids[0].total;
+                self.applied[n] = hierarchy.prolongation.interpolate_exactly(n, total);
+            }
         }
     }
 
