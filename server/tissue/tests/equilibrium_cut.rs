@@ -149,15 +149,9 @@ fn solver_follows_tissue_that_parts_from_bone() {
         let lift = |d: &(u32, u32)| t.shape().displacement[d.0 as usize].norm();
         outcome.doubled.iter().map(lift).fold(0.0, f64::max)
     };
-    // The first step does not add what the coarse levels have moved so far.
-    followed.step(&ball(2.0 * MM), Budget::new(1, 1e-6));
-    let first = lifts(&followed);
-    followed.step(&ball(2.0 * MM), Budget::new(1000, 1e-6));
-    assert!(
-        first < 1.2 * lifts(&followed),
-        "{first} {}",
-        lifts(&followed)
-    );
+    // What the coarse levels have moved so far moves no parted node.
+    followed.step(&ball(2.0 * MM), Budget::new(0, 1e-6));
+    assert!(lifts(&followed) == 0.0, "{}", lifts(&followed));
     let mut rebuilt = Tissue::at_rest(Arc::clone(followed.topology()));
     for tissue in [&mut followed, &mut rebuilt] {
         for depth in [1.0, 2.0, 3.0] {
