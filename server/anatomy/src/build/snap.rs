@@ -37,7 +37,7 @@ const CLAIM_REACH: f64 = 0.5;
 
 /// A node counts as on an interface when it is at most this far away, in spacings; interfaces are kept
 /// in single precision.
-const ON_SURFACE: f64 = 1e-4;
+pub(super) const ON_SURFACE: f64 = 1e-4;
 
 /// Farthest projection of a node, in spacings; its own interface is never beyond it.
 const REACH: f64 = 4.0;

@@ -14,6 +14,9 @@
 //! No two nodes of one colour share a cell, so each colour runs in parallel and the result is the same on any
 //! number of threads. Cells that still fail are released: their nodes move back towards their lattice points,
 //! where every cell is a cube, until the cells pass.
+//!
+//! A step of 0.05 spacings off the surface is a tenth of a layer of half a spacing. So the nodes of layers one cell
+//! thick then return towards their surfaces as far as cells do not fail.
 
 use palpate_tissue::Vec3;
 use palpate_tissue::cell::NO_CELL;
@@ -23,14 +26,14 @@ use super::constraint::Constraint;
 use super::interfaces::Interfaces;
 use super::lattice::Lattice;
 use super::quality::{CORNER_FLOOR, SPRING_FLOOR, passes};
-use super::snap::project;
+use super::snap::{ON_SURFACE, project};
 
 /// Cells with a smaller determinant, in Δd³, or a shorter spring, in Δd, are visited.
 const GOOD: (f64, f64) = (0.03, 0.33);
 /// Target of the minimisation: a margin above the floor, so that one visit suffices.
 const AIM: (f64, f64) = (0.08, 0.38);
 /// Limits that must hold at the end; slightly above the floors, to be safe from rounding.
-const FLOOR: (f64, f64) = (CORNER_FLOOR * 1.001, SPRING_FLOOR * 1.001);
+pub(super) const FLOOR: (f64, f64) = (CORNER_FLOOR * 1.001, SPRING_FLOOR * 1.001);
 
 /// Sweeps, and their weights of the distance to the surface (w above). Later sweeps let nodes move farther off.
 const STAGES: [(usize, f64); 3] = [(10, 0.1), (12, 0.01), (16, LAST_HOLD)];
@@ -46,6 +49,10 @@ const INERTIA: f64 = 0.02;
 const NEWTON_STEPS: usize = 4;
 /// Longest move in one visit, in spacings.
 const MOVE_MAX: f64 = 0.25;
+/// Fractions of a move that are tried until the cells around a node pass.
+const TRIES: [f64; 3] = [1.0, 0.5, 0.25];
+/// Rounds in which the nodes of thin layers return to their interfaces.
+const RETURNS: usize = 3;
 /// Rounds in which nodes move half way back to their lattice points, each followed by sweeps.
 const HALVINGS: usize = 6;
 const SWEEPS_AFTER_HALVING: usize = 4;
@@ -94,7 +101,26 @@ impl<'a> Untangler<'a> {
             }
         }
         let bad = self.failing(bad.into_iter(), positions, FLOOR);
-        self.let_go(bad, positions)
+        let gone = self.let_go(bad, positions);
+        self.return_layers(positions);
+        gone
+    }
+
+    /// Returns the nodes of layers one cell thick towards their interfaces. All corners of their cells lie on one.
+    fn return_layers(&self, positions: &mut [Vec3]) {
+        let free = |node: &u32| self.constraints[*node as usize].free();
+        let cells = self.lattice.cells.iter();
+        let layers = cells.filter(|cell| !cell.corners.iter().any(free));
+        let nodes = sorted(layers.flat_map(|cell| cell.corners));
+        for _ in 0..RETURNS {
+            let moves = nodes.par_iter().filter_map(|&node| {
+                let at = positions[node as usize];
+                let by = project(self.interfaces, self.constraints[node as usize], at) - at;
+                (by.norm() > ON_SURFACE * self.spacing).then_some((node, by))
+            });
+            let moves: Vec<(u32, Vec3)> = moves.collect();
+            self.move_while_it_holds(&moves, GOOD, positions);
+        }
     }
 
     /// The cells around each node.
@@ -112,12 +138,12 @@ impl<'a> Untangler<'a> {
         self.constraints[node as usize]
     }
 
-    /// Moves each node by the first of the given fractions of its step that keeps the cells around it above the
-    /// floors and a gap beside it open, or not at all.
+    /// Moves each node by the first of [`TRIES`] of its step that keeps the cells around it above the limits and a gap
+    /// beside it open, or not at all.
     pub(super) fn move_while_it_holds(
         &self,
         moves: &[(u32, Vec3)],
-        parts: &[f64],
+        limits: (f64, f64),
         positions: &mut [Vec3],
     ) {
         for colour in 0..8 {
@@ -126,9 +152,9 @@ impl<'a> Untangler<'a> {
                 .filter(|(n, _)| colour_of(self.lattice.nodes[*n as usize]) == colour)
                 .filter_map(|(node, by)| {
                     let at = positions[*node as usize];
-                    let tried = parts.iter().map(|part| at + by * *part);
+                    let tried = TRIES.iter().map(|part| at + by * *part);
                     let to = tried.into_iter().find(|to| {
-                        self.holds(*node, to, positions) && self.keeps_gap_open(*node, to)
+                        self.holds(*node, to, limits, positions) && self.keeps_gap_open(*node, to)
                     })?;
                     Some((*node, to))
                 })
@@ -139,15 +165,15 @@ impl<'a> Untangler<'a> {
         }
     }
 
-    /// Whether all cells around a node would meet the floors with the node at `to`.
-    fn holds(&self, node: u32, to: &Vec3, positions: &[Vec3]) -> bool {
+    /// Whether all cells around a node would meet the limits with the node at `to`.
+    fn holds(&self, node: u32, to: &Vec3, (det, length): (f64, f64), positions: &[Vec3]) -> bool {
         let slots = self.around[node as usize].iter().enumerate();
         slots
             .filter(|(_, cell)| **cell != NO_CELL)
             .all(|(c, &cell)| {
                 let mut corners = self.corners(cell, positions);
                 corners[c] = *to;
-                passes(&corners, self.spacing, FLOOR.0, FLOOR.1)
+                passes(&corners, self.spacing, det, length)
             })
     }
 

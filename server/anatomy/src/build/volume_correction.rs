@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 use palpate_tissue::Vec3;
 
 use super::faces::{Face, OUTSIDE, volumes};
-use super::untangle::Untangler;
+use super::untangle::{FLOOR, Untangler};
 
 /// Most rounds of correction; later rounds make up for nodes that could not move. Three are enough for a limb;
 /// a skin of one cell's thickness takes eight.
@@ -22,8 +22,6 @@ const EXACT: f64 = 1e-4;
 const SHIFT_MAX: f64 = 0.4;
 /// The same per round, so that the normals of the interface remain valid.
 const STEP_MAX: f64 = 0.1;
-/// Fractions of the step that are tried until the cells around a node pass.
-const TRIES: [f64; 3] = [1.0, 0.5, 0.25];
 
 /// Moves the nodes of curved interfaces until region volumes match `targets` (m³).
 ///
@@ -166,6 +164,6 @@ impl Slots {
                 Some((*node, direction * (shifted.dot(&direction) / size)))
             })
             .collect();
-        untangler.move_while_it_holds(&moves, &TRIES, positions);
+        untangler.move_while_it_holds(&moves, FLOOR, positions);
     }
 }

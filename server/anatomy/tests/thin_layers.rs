@@ -1,0 +1,95 @@
+//! Layers of about one spacing keep their place.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
+
+mod shapes;
+
+use palpate_anatomy::{BuildReport, RegionReport, SceneInput, Surface, build};
+use palpate_tissue::Vec3;
+use shapes::{ball, cuboid, placed, scene};
+
+/// In mm.
+const SPACING: f64 = 4.0;
+/// Radius of a ball or half the side of a box, in m.
+const SIZE: f64 = 0.04;
+
+/// Euler angles of the layers of boxes: along the lattice, oblique, and across its body diagonal.
+const TURNS: [[f64; 3]; 3] = [
+    [0.0, 0.0, 0.0],
+    [0.35, 0.52, 0.7],
+    [0.785_398, 0.615_480, 0.0],
+];
+
+/// A body around a core, apart by `thickness` spacings. With `within` the layer lies in a third tissue.
+fn layer(turn: Option<[f64; 3]>, within: bool, thickness: f64) -> SceneInput {
+    let at = Vec3::new(0.37, 0.53, 0.71) * 1e-3;
+    let body = |size: f64| -> Surface {
+        match turn {
+            None => placed(ball(size), [0.2, 0.3, 0.1], at),
+            Some(turn) => placed(cuboid(-Vec3::repeat(size), Vec3::repeat(size)), turn, at),
+        }
+    };
+    let core = SIZE - thickness * SPACING * 1e-3;
+    let mut surfaces = vec![body(SIZE), body(core)];
+    if within {
+        surfaces.insert(0, body(SIZE + 0.012));
+    }
+    scene(&format!("{SPACING}"), &surfaces).unwrap()
+}
+
+fn built(input: &SceneInput) -> BuildReport {
+    let (_, report) = build(input, &mut |_, _| {}).unwrap();
+    assert_eq!(report.quality.bad_cells, 0, "{:?}", report.quality);
+    assert!(report.outer_surface.closed);
+    assert!(report.regions.iter().all(|r| r.surface.closed));
+    report
+}
+
+/// The layer of [`layer`] in the report.
+fn own(report: &BuildReport) -> &RegionReport {
+    &report.regions[report.regions.len() - 2]
+}
+
+#[test]
+fn layer_down_to_half_a_spacing_keeps_its_place() {
+    for turn in [None, Some(TURNS[1]), Some(TURNS[2])] {
+        for (within, thickness, least) in [
+            (false, 0.5, 0.93),
+            (true, 0.5, 0.93),
+            (false, 1.0, 0.96),
+            (true, 1.0, 0.96),
+        ] {
+            let report = built(&layer(turn, within, thickness));
+            let own = own(&report);
+            let case = format!("{turn:?}, within {within}, {thickness} spacings");
+            assert!(own.dice > least, "{case}: {}", own.dice);
+            let error = own.volume_mm3 / own.input_volume_mm3 - 1.0;
+            assert!(error.abs() < 1e-3, "{case}: {error}");
+            assert_eq!(own.components, 1, "{case}");
+        }
+    }
+}
+
+/// Prints the Dice coefficient of layers by thickness.
+#[test]
+#[ignore = "prints a table"]
+fn dice_of_layers_by_thickness() {
+    println!(
+        "angles, in a third tissue, thickness in spacings: Dice of layer and core, volume error in %, tied nodes"
+    );
+    for turn in std::iter::once(None).chain(TURNS.map(Some)) {
+        for within in [false, true] {
+            for thickness in [0.5, 0.75, 1.0, 1.5, 2.0, 3.0] {
+                let report = built(&layer(turn, within, thickness));
+                let own = own(&report);
+                println!(
+                    "{turn:?}, {within}, {thickness:4.2}: {:.4} {:.4}, {:+.3}, {}",
+                    own.dice,
+                    report.regions[report.regions.len() - 1].dice,
+                    100.0 * (own.volume_mm3 / own.input_volume_mm3 - 1.0),
+                    report.quality.nodes_tied,
+                );
+            }
+        }
+    }
+}
