@@ -17,7 +17,7 @@ const SIZE: f64 = 0.04;
 const TURNS: [[f64; 3]; 3] = [
     [0.0, 0.0, 0.0],
     [0.35, 0.52, 0.7],
-    [0.785_398, 0.615_480, 0.0],
+    [std::f64::consts::FRAC_PI_4, 0.615_480, 0.0],
 ];
 
 /// A body around a core, apart by `thickness` spacings. With `within` the layer lies in a third tissue.
