@@ -21,7 +21,8 @@
 //! patch.rs       nodes around a sheet     width.rs          the width of a wound
 //! freedom.rs     directions of a node     follow.rs         deformed shapes after a cut
 //! interface.rs   interfaces as built      swept_surface.rs  distances from it
-//! edge.rs        resistance along the edge    stroke_tree.rs    surfaces of all strokes
+//! edge.rs        resistance of an edge    edge_search.rs    cells along an edge
+//! stroke_tree.rs the surfaces of strokes
 //! ```
 //!
 //! Everything runs in one order that depends on the topology and the stroke alone: the same strokes
@@ -32,6 +33,7 @@ mod cell_fans;
 mod cell_index;
 mod components;
 mod edge;
+mod edge_search;
 mod follow;
 mod freedom;
 mod interface;
