@@ -10,7 +10,7 @@
 //! | `coarse_level`, `cycle`, `outer_residual` | active part of a level, V-cycle, forces outside the active part |
 //! | `contact_stiffness`, `coarse_stiffening` | contacts, held nodes and hardened tissue on the coarse levels |
 //! | `fine_level`, `active_set`, `corrections` | forces on nodes, refinement, coarse corrections |
-//! | `jacobi_blocks`, `contact_smoother` | block Jacobi preconditioner, additional smoothing at contacts |
+//! | `jacobi_blocks`, `smoothing`, `contact_smoother` | block Jacobi preconditioner, Chebyshev steps on nodes and at contacts |
 //! | `budget`, `work_limit` | limits and report of a step; bound on active nodes |
 //! | `reference_state`, `weight` | equilibrium without tools; gravity |
 //! | `warm_start` | extrapolation of the last step under tools |
@@ -84,6 +84,7 @@ mod rigid_aggregation;
 mod settling;
 mod sizes;
 mod small_strain;
+mod smoothing;
 mod solver;
 mod stabilisation;
 mod warm_start;
