@@ -2,9 +2,8 @@
 //!
 //! Cells above the quality floors are sound at their corners, but two triangles of their warped faces may still pass
 //! through each other, and no floor holds for an empty cell between two faces. Nodes of such triangles move towards
-//! their lattice points, where every cell is a cube, in small steps that keep the floors. Copies of a node beside a gap
-//! have one lattice point, so they move into their own tissue instead. Where that is not enough, the nodes around them
-//! move too.
+//! their lattice points, where every cell is a cube, in small steps that keep the floors. Where that is not enough, the
+//! nodes around them move too. Copies of a node beside a gap have one lattice point, so triangles there stay.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +13,7 @@ use super::faces::Face;
 use super::surface_faults::crossing_faces;
 use super::untangle::Untangler;
 
-/// Parts of the way to the lattice point, or of a spacing beside a gap, that are tried in a round.
+/// Parts of the way to the lattice point that are tried in a round.
 const TRIES: [f64; 2] = [0.1, 0.05];
 /// Rounds with the same rings of nodes around the triangles, from none on, and most rounds.
 const ROUNDS_PER_RING: usize = 4;
@@ -40,29 +39,24 @@ pub(super) fn part_crossings(
     let mut crossing = crossing_faces(faces, positions, spacing);
     let mut moved = BTreeSet::new();
     for round in 0..ROUNDS {
-        if crossing.is_empty() {
+        let corners = |pair: &[u32; 2]| pair.map(|f| faces[f as usize].nodes).into_iter().flatten();
+        let beside_gap = |node: u32| untangler.constraint(node).beside_gap();
+        let movable = crossing
+            .iter()
+            .filter(|pair| !corners(pair).any(beside_gap));
+        let mut nodes: Vec<u32> = movable.flat_map(corners).collect();
+        if nodes.is_empty() {
             break;
         }
-        let corners = crossing.iter().flatten().map(|f| faces[*f as usize].nodes);
-        let mut nodes: Vec<u32> = corners
-            .flatten()
-            .collect::<BTreeSet<u32>>()
-            .into_iter()
-            .collect();
+        nodes.sort_unstable();
+        nodes.dedup();
         for _ in 0..round / ROUNDS_PER_RING {
             nodes = untangler.with_neighbours(&nodes);
         }
         let from: Vec<Vec3> = nodes.iter().map(|n| positions[*n as usize]).collect();
         let ways = nodes.iter().zip(&from);
         let ways: Vec<(u32, Vec3)> = ways
-            .map(|(&node, at)| {
-                let inwards = -untangler.constraint(node).facing();
-                let inwards = inwards.try_normalize(0.0).map(|way| way * spacing);
-                (
-                    node,
-                    inwards.unwrap_or_else(|| untangler.lattice_point(node) - at),
-                )
-            })
+            .map(|(&node, at)| (node, untangler.lattice_point(node) - at))
             .collect();
         untangler.move_while_it_holds(&ways, &TRIES, positions);
         let left = nodes.iter().zip(&from);
