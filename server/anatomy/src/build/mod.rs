@@ -109,10 +109,7 @@ pub fn build(
     input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
     let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &mut walls);
-    let mut faulty = input_check::folds(input, &folds, &mut warnings);
-    faulty.extend(&input.faulty);
-    faulty.sort_unstable();
-    faulty.dedup();
+    let faulty = input_check::folds(input, &folds, &mut warnings);
     prefer_voxels(&mut input_volumes, input);
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 

@@ -65,6 +65,7 @@ pub(super) fn part_crossings(
                 .map(|(n, _)| *n),
         );
         nodes.extend(&moved);
+        nodes.extend(crossing.iter().flat_map(corners));
         let near = near(faces, &nodes, positions, spacing);
         let here: Vec<Face> = near.iter().map(|f| faces[*f as usize]).collect();
         let found = crossing_faces(&here, positions, spacing);
