@@ -102,6 +102,17 @@ impl<'a> Untangler<'a> {
         self.around
     }
 
+    /// Some nodes and all others of the cells around them, sorted.
+    pub(super) fn with_neighbours(&self, nodes: &[u32]) -> Vec<u32> {
+        self.nodes_of(&self.cells_at(nodes))
+    }
+
+    /// The lattice point of a node.
+    pub(super) fn lattice_point(&self, node: u32) -> Vec3 {
+        let at = self.lattice.nodes[node as usize];
+        self.origin + Vec3::from(at.map(f64::from)) * self.spacing
+    }
+
     /// Lattice spacing in m.
     pub(super) fn spacing(&self) -> f64 {
         self.spacing
@@ -249,10 +260,6 @@ impl<'a> Untangler<'a> {
     /// Moves the nodes of failing cells back towards their lattice points until none fails.
     fn let_go(&self, mut bad: Vec<u32>, positions: &mut [Vec3]) -> Vec<u32> {
         let mut gone = Vec::new();
-        let lattice_point = |node: u32| {
-            let at = self.lattice.nodes[node as usize];
-            self.origin + Vec3::from(at.map(f64::from)) * self.spacing
-        };
         for _ in 0..HALVINGS {
             if bad.is_empty() {
                 return sorted(gone.into_iter());
@@ -260,7 +267,7 @@ impl<'a> Untangler<'a> {
             let nodes = self.nodes_of(&bad);
             for &node in &nodes {
                 let at = positions[node as usize];
-                positions[node as usize] = (at + lattice_point(node)) / 2.0;
+                positions[node as usize] = (at + self.lattice_point(node)) / 2.0;
             }
             let mut touched = self.failing(self.cells_at(&nodes).into_iter(), positions, GOOD);
             gone.extend(nodes);
@@ -274,7 +281,7 @@ impl<'a> Untangler<'a> {
         while !bad.is_empty() {
             let nodes = self.nodes_of(&bad);
             for &node in &nodes {
-                positions[node as usize] = lattice_point(node);
+                positions[node as usize] = self.lattice_point(node);
             }
             bad = self.failing(self.cells_at(&nodes).into_iter(), positions, FLOOR);
             gone.extend(nodes);
