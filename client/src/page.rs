@@ -240,7 +240,7 @@ impl PageWindow {
     /// Shows a view that this machine did not solve.
     pub(crate) fn show_thin(&mut self, topology: &Arc<Topology>, shape: &Shape, frame: &ViewFrame) {
         let at = (frame.s, frame.returns());
-        self.feed.show_shape(topology, shape, at, &[]);
+        self.feed.show(topology, shape, at, &[]);
         self.show_tools(frame, None);
     }
 

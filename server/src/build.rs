@@ -132,11 +132,12 @@ pub(crate) fn describe(summary: &BuildSummary) -> String {
     describe_contacts(r, &mut text);
     let _ = writeln!(
         text,
-        "outer surface: {} vertices, {} triangles, {}, {} part(s)",
+        "outer surface: {} vertices, {} triangles, {}, {} part(s), {} self-intersections",
         r.outer_surface.vertices,
         r.outer_surface.triangles,
         closed(r.outer_surface.closed),
-        r.outer_surface.components
+        r.outer_surface.components,
+        r.outer_surface.self_intersections
     );
     describe_quality(r, &mut text);
     describe_bars(r, &mut text);

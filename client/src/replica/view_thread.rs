@@ -129,7 +129,9 @@ fn serve(
             Order::Show(frame, is_recorded) => {
                 let report = show(&mut view, &frame, is_recorded);
                 if let Some(feed) = &mut feed {
-                    feed.show(view.tissue(), frame.s, frame.returns());
+                    let reactions = view.reactions(&frame.tools);
+                    let at = (frame.s, frame.returns());
+                    feed.show(view.topology(), view.shape(), at, &reactions);
                 }
                 report
             }

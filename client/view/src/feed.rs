@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use palpate_protocol::tool::part_owner;
 use palpate_protocol::{ServerTime, Span};
-use palpate_tissue::{Reaction, Shape, Tissue, Topology};
+use palpate_tissue::{Reaction, Shape, Topology};
 use tokio::sync::mpsc;
 
 use crate::shape_code::{ShapeSample, ShownReaction};
@@ -99,13 +99,7 @@ impl Feed {
 
     /// Hands over the shape of the displayed time `s`, with the reactions on the tools. `returns` is whether a tool
     /// returns from a hold: pages then show it with bounded steps.
-    pub fn show(&mut self, tissue: &Tissue, s: ServerTime, returns: bool) {
-        let reactions = &tissue.report().reactions;
-        self.show_shape(tissue.topology(), tissue.shape(), (s, returns), reactions);
-    }
-
-    /// The same of a shape that this machine did not solve.
-    pub fn show_shape(
+    pub fn show(
         &mut self,
         topology: &Arc<Topology>,
         shape: &Shape,
@@ -202,16 +196,20 @@ fn wall_ms() -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use palpate_tissue::{BladePoint, CutStroke, Material, Vec3, block};
+    use palpate_tissue::{BladePoint, CutStroke, Material, Tissue, Vec3, block};
 
     use super::*;
+
+    fn show(feed: &mut Feed, tissue: &Tissue, s: ServerTime, returns: bool) {
+        feed.show(tissue.topology(), tissue.shape(), (s, returns), &[]);
+    }
 
     #[test]
     fn feed_copies_drawn_nodes_and_never_waits() {
         let mut tissue = Tissue::new(block([2, 2, 2], 4e-3, &Material::default(), 1).into());
         tissue.displace(&[(5, Vec3::new(0.0, 0.0, -1e-3))]);
         let (mut feed, state, mut updates) = Feed::new();
-        let show = |feed: &mut Feed| feed.show(&tissue, ServerTime::ZERO, false);
+        let show = |feed: &mut Feed| show(feed, &tissue, ServerTime::ZERO, false);
         show(&mut feed);
         assert!(updates.try_recv().is_err(), "no page watches");
         state.set_watchers(1);
@@ -237,11 +235,11 @@ mod tests {
         let mut tissue = Tissue::new(block([2, 2, 2], 4e-3, &Material::default(), 1).into());
         let (mut feed, state, mut updates) = Feed::new();
         state.set_watchers(1);
-        feed.show(&tissue, ServerTime::ZERO, false);
+        show(&mut feed, &tissue, ServerTime::ZERO, false);
         assert!(matches!(updates.try_recv(), Ok(TissueUpdate::Topology(_))));
         state.set_nodes(Some((0, vec![5].into())));
         let mut shown_mm = |tissue: &Tissue, returns| {
-            feed.show(tissue, ServerTime::ZERO, returns);
+            show(&mut feed, tissue, ServerTime::ZERO, returns);
             let Ok(TissueUpdate::Shape(sample)) = updates.try_recv() else {
                 panic!("no shape");
             };
@@ -259,7 +257,7 @@ mod tests {
         let (mut feed, state, mut updates) = Feed::new();
         state.set_watchers(1);
         let at = |ms: i64| ServerTime::from_micros(1000 * ms);
-        feed.show(&tissue, at(0), false);
+        show(&mut feed, &tissue, at(0), false);
         assert!(matches!(updates.try_recv(), Ok(TissueUpdate::Topology(_))));
         state.set_nodes(Some((
             0,
@@ -276,7 +274,7 @@ mod tests {
         };
         let before = tissue.topology().clone();
         tissue.cut(&stroke).unwrap();
-        feed.show(&tissue, at(30), false);
+        show(&mut feed, &tissue, at(30), false);
         let Ok(TissueUpdate::Shape(sample)) = updates.try_recv() else {
             panic!("no shape of the surface that pages have");
         };
@@ -287,14 +285,14 @@ mod tests {
             let apart = drawn - tissue.shape().position(tissue.topology(), node as u32);
             assert!(apart.norm() < 1e-6);
         }
-        feed.show(&tissue, at(250), false);
+        show(&mut feed, &tissue, at(250), false);
         assert!(matches!(updates.try_recv(), Ok(TissueUpdate::Topology(t)) if t.version() == 1));
         state.set_nodes(Some((
             1,
             (0..tissue.topology().node_count() as u32).collect(),
         )));
         // A surface with nodes that are gone is replaced at once.
-        feed.show(&Tissue::at_rest(before), at(260), false);
+        show(&mut feed, &Tissue::at_rest(before), at(260), false);
         assert!(matches!(updates.try_recv(), Ok(TissueUpdate::Topology(t)) if t.version() == 0));
     }
 }

@@ -369,7 +369,9 @@ mod tests {
             self.tissue.displace(&[(0, Vec3::new(0.0, 0.0, dz))]);
             // Later than the next surface is due.
             self.now = self.now + Span::from_millis(300);
-            self.feed.show(&self.tissue, self.now, false);
+            let tissue = &self.tissue;
+            let at = (self.now, false);
+            self.feed.show(tissue.topology(), tissue.shape(), at, &[]);
             while let Ok(update) = self.updates.try_recv() {
                 hub.draw(update);
             }

@@ -164,7 +164,8 @@ impl Shown {
         self.tissue.step(&[tool], Budget::new(20, 1e-2));
         // The first update of a version is its surface; a shape follows once the hub has drawn it.
         for _ in 0..100 {
-            self.feed.show(&self.tissue, self.s, false);
+            let (tissue, at) = (&self.tissue, (self.s, false));
+            self.feed.show(tissue.topology(), tissue.shape(), at, &[]);
             if self.page.read_until(self.s).await {
                 let error_m = self.page.error_m(&self.tissue);
                 assert!(error_m <= ERROR_MAX_M, "{error_m} m at {:?}", self.s);

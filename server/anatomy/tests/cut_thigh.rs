@@ -14,8 +14,8 @@ use palpate_anatomy::{Surface, Unit, build};
 use palpate_tissue::cell::NO_CELL;
 use palpate_tissue::file::{ModelFile, decode_model, encode_model};
 use palpate_tissue::{
-    BladePoint, Budget, CutStroke, EdgeTrack, FaceId, Shape, Tissue, Tool, Topology, Vec3, block,
-    cut, edge_resistance,
+    BladePoint, Budget, CutHistory, CutStroke, EdgeTrack, FaceId, Shape, Tissue, Tool, Topology,
+    Vec3, block, cut, edge_resistance,
 };
 
 fn thigh() -> Topology {
@@ -285,6 +285,7 @@ fn resistance_of_the_edge_is_continuous_in_a_thigh_before_and_after_a_cut() {
                 cut(&mut t, &stroke).unwrap();
             }
             let shape = Shape::rest(&t);
+            let history = CutHistory::new(Arc::new(t.clone()));
             let (mut track, mut last) = (EdgeTrack::default(), None::<f64>);
             for pair in stroke.points.windows(2) {
                 let [a, b] = [pair[0], pair[1]];
@@ -295,7 +296,7 @@ fn resistance_of_the_edge_is_continuous_in_a_thigh_before_and_after_a_cut() {
                         axis: a.axis.lerp(&b.axis, share).normalize(),
                         depth_m: depth + 4e-3,
                     };
-                    let force = edge_resistance(&t, &shape, &blade, &mut track).newtons;
+                    let force = edge_resistance(&t, &shape, &history, &blade, &mut track).newtons;
                     assert!(
                         last.is_none_or(|last| (force - last).abs() < 0.12),
                         "{last:?} {force}"

@@ -288,6 +288,73 @@ fn hole_error_gives_edges_loops_and_position() {
 }
 
 #[test]
+fn repairs_are_named_with_their_place() {
+    let far = cuboid([100.0; 3], [110.0; 3]);
+    let mut doubled = cube();
+    doubled.triangles.push(doubled.triangles[2]); // a triangle of the top, from (0, 0) to (20, 20)
+    let mut degenerate = cube();
+    degenerate.triangles.push([7, 7, 7]);
+    let mut wound = cube();
+    wound.triangles[2].swap(0, 1);
+    for (surface, what, place) in [
+        (turned(cube()), "1 components were inside out", "at ("),
+        (
+            together(cube(), &turned(far)),
+            "1 components were inside out",
+            "at (10",
+        ),
+        (doubled, "1 duplicate triangles", "20.0) mm"),
+        (degenerate, "1 degenerate", "(20.0, 20.0, 20.0) mm"),
+        (wound, "1 triangles were wound against", "20.0) mm"),
+        (
+            touching_cubes(),
+            "1 edges join four or more",
+            "(20.0, 20.0, 10.0) mm",
+        ),
+    ] {
+        let warnings = accepted(surface).warnings;
+        assert!(
+            warnings[0].starts_with(what) && warnings[0].contains(place),
+            "{warnings:?}"
+        );
+    }
+}
+
+#[test]
+fn edge_of_three_triangles_and_strip_of_one_side_are_rejected_with_their_place() {
+    // A fin on an edge of the cube.
+    let mut fin = cube();
+    fin.vertices.push(Vec3::new(0.03, 0.03, 0.01));
+    fin.triangles.push([3, 7, 8]);
+    let message = fin.check().unwrap_err().to_string();
+    assert!(
+        message.contains("1 more edges join three") && message.contains("centred at (25.0, 25.0,"),
+        "{message}"
+    );
+    // A Moebius strip of twelve quads around the z axis.
+    let n = 12_u32;
+    let mut strip = Surface::default();
+    for i in 0..n {
+        let turn = std::f64::consts::TAU * f64::from(i) / f64::from(n);
+        for half in [-0.5, 0.5] {
+            let (out, up) = (half * (turn / 2.0).cos(), half * (turn / 2.0).sin());
+            let radius = 3.0 + out;
+            strip
+                .vertices
+                .push(Vec3::new(radius * turn.cos(), radius * turn.sin(), up) * 0.01);
+        }
+        let [a, b] = [2 * i, 2 * i + 1];
+        let [c, d] = if i + 1 == n { [1, 0] } else { [a + 2, b + 2] };
+        strip.triangles.extend([[a, b, c], [b, d, c]]);
+    }
+    let message = strip.check().unwrap_err().to_string();
+    assert!(
+        message.contains("24 boundary edges in 1 hole") && message.contains("centred at ("),
+        "{message}"
+    );
+}
+
+#[test]
 fn winding_is_repaired_and_inverted_surface_is_turned() {
     let mut mixed = cube();
     for t in [1, 4, 7] {
@@ -325,9 +392,8 @@ fn separate_parts_are_counted_and_turned_independently() {
     assert!(near(report.volume_m3, 9e-6));
 }
 
-#[test]
-fn parts_touching_along_an_edge_are_accepted() {
-    // The second cube shares the vertical edge at x = y = 20 mm.
+/// Two cubes that share the vertical edge at x = y = 20 mm.
+fn touching_cubes() -> Surface {
     let mut touching = together(cube(), &cuboid([20.0, 20.0, 0.0], [40.0, 40.0, 20.0]));
     for v in touching.triangles[12..].iter_mut().flatten() {
         *v = match *v {
@@ -336,7 +402,12 @@ fn parts_touching_along_an_edge_are_accepted() {
             other => other,
         };
     }
-    let report = accepted(touching);
+    touching
+}
+
+#[test]
+fn parts_touching_along_an_edge_are_accepted() {
+    let report = accepted(touching_cubes());
     assert_eq!((report.non_manifold_edges, report.components), (1, 2));
     assert!(near(report.volume_m3, 16e-6));
 }

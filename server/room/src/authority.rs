@@ -18,15 +18,14 @@ use palpate_protocol::datagram::Corrections;
 use palpate_protocol::operation::OperationKind;
 use palpate_protocol::request::{CutRequest, RequestRefusal, TimedBladePoint};
 use palpate_protocol::session::Picture;
-use palpate_protocol::tool::part_owner;
+use palpate_protocol::tool::{part_id, part_owner};
 use palpate_protocol::{ParticipantId, RequestId, ServerTime, Span, TopologyHash};
 use palpate_tissue::snapshot::snapshot;
 use palpate_tissue::{
-    BladePoint, Budget, CutError, CutPreparer, Model, PreparedCut, Reaction, Shape, Tissue, Tool,
-    Topology, TopologyCut,
+    BladePoint, Blades, Budget, CutError, CutPreparer, Model, PreparedCut, Reaction, Shape, Tissue,
+    Tool, Topology, TopologyCut,
 };
 
-use crate::blades::Blades;
 use crate::convert;
 use crate::open_strokes::{OpenStrokes, RestPart};
 use crate::pictures::Pictures;
@@ -272,7 +271,11 @@ impl Authority {
         };
         let inserted = report.reactions.iter().filter(|r| r.is_inserted);
         let inserted = inserted.map(|r| part_owner(r.tool)).collect();
-        self.blades.follow(&order.blades, &self.tissue);
+        let blades = order.blades.iter();
+        let blades: Vec<_> = blades
+            .map(|(who, blade)| (part_id(*who, 0), *blade))
+            .collect();
+        self.blades.follow(&blades, &self.tissue);
         self.view_time = order.view_time;
         let corrections = order.wants_corrections.then(|| self.corrections());
         let picture = (order.wants_picture).and_then(|due| self.picture(due));
@@ -292,7 +295,7 @@ impl Authority {
     /// The reactions of the newest tick on all tools, cutting blades included.
     pub fn reactions(&self) -> Vec<Reaction> {
         let pressing = self.tissue.report().reactions.iter();
-        pressing.chain(&self.blades.reactions).cloned().collect()
+        pressing.chain(self.blades.reactions()).cloned().collect()
     }
 
     /// Maps the stroke of a request to the rest frame.

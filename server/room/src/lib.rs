@@ -10,7 +10,6 @@
 
 mod admission;
 mod authority;
-mod blades;
 mod config;
 mod control_state;
 mod convert;

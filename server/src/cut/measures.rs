@@ -2,10 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use palpate_anatomy::surface::crossings;
 use palpate_tissue::cell::{FACES, NO_CELL, PAIRS, scaled_jacobian};
 use palpate_tissue::{CutOutcome, FaceId, SweptSurface, Topology};
 
-use super::crossings::self_intersections;
 use super::report::{BoundaryFigures, Component};
 use super::walls::wall_faces;
 
@@ -65,7 +65,8 @@ pub(super) fn boundary(topology: &Topology) -> BoundaryFigures {
     BoundaryFigures {
         closed: edges_not_two == 0,
         edges_not_two,
-        self_intersections: self_intersections(topology),
+        self_intersections: crossings(triangles, |n| topology.rest(n), topology.model().spacing_m)
+            .len(),
     }
 }
 

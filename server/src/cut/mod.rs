@@ -7,11 +7,10 @@
 //! ```text
 //! strokes_file.rs   the file           measures.rs          figures of the result
 //! placement.rs      blade at rest      interface_drift.rs   distances from interfaces
-//! triangle_grid.rs  triangles by place crossings.rs         self-intersections
-//! report.rs         the report         walls.rs            walls of wounds
+//! triangle_grid.rs  triangles by place walls.rs            walls of wounds
+//! report.rs         the report
 //! ```
 
-mod crossings;
 mod interface_drift;
 mod measures;
 mod placement;

@@ -40,23 +40,6 @@ impl TriangleGrid {
         grid
     }
 
-    pub(super) fn triangle(&self, number: usize) -> &[Vec3; 3] {
-        &self.triangles[number]
-    }
-
-    /// The triangles whose boxes may meet that of a triangle, sorted.
-    pub(super) fn beside(&self, number: usize) -> Vec<u32> {
-        let keys = self.keys(&self.triangles[number], 0.0);
-        let mut found: Vec<u32> = keys
-            .filter_map(|key| self.cells.get(&key))
-            .flatten()
-            .copied()
-            .collect();
-        found.sort_unstable();
-        found.dedup();
-        found
-    }
-
     /// The nearest triangle, not farther than `reach` m.
     pub(super) fn nearest(&self, p: &Vec3, reach: f64) -> Option<Nearest> {
         let mut best: Option<Nearest> = None;

@@ -304,27 +304,34 @@ impl Pages {
             return;
         };
         player.round_trip = round_trip;
-        player
-            .tool
-            .get_or_insert_with(|| SteeredTool::new(&newest.pose, now))
+        let tool = &mut player.tool;
+        if (tool.take_if(|tool| !tool.continues(&newest.pose, now))).is_some() {
+            // The blade did not move here through the tissue.
+            player
+                .strokes
+                .iter_mut()
+                .for_each(StrokeCollector::drop_open);
+        }
+        tool.get_or_insert_with(|| SteeredTool::new(&newest.pose, now))
             .steer(&newest.pose, newest.buttons, now);
     }
 
-    /// Notes whose needles the tissue holds.
-    pub(super) fn note_inserted(&mut self, inserted: &[ParticipantId]) {
+    /// Notes whose needles the tissue holds at a displayed time.
+    pub(super) fn note_inserted(&mut self, inserted: &[ParticipantId], view_time: ServerTime) {
         for player in self.players.values_mut() {
             let is_inserted = player
                 .participant
                 .is_some_and(|who| inserted.contains(&who));
             if let Some(tool) = &mut player.tool {
-                tool.hold(is_inserted);
+                tool.hold(is_inserted, view_time);
             }
         }
     }
 
     /// Time of the next [`handle_tick`](Self::handle_tick); `None` while no page holds a tool and no message waits.
     pub(super) fn poll_timeout(&self) -> Option<ServerTime> {
-        let holds_tool = self.players.values().any(|p| p.tool.is_some());
+        let mut tools = self.players.values().filter_map(|p| p.tool.as_ref());
+        let holds_tool = tools.any(|tool| tool.is_held(self.due));
         let waiting = self.players.values().map(|p| p.network.poll_timeout());
         waiting
             .chain([holds_tool.then_some(self.due)])
@@ -341,7 +348,6 @@ impl Pages {
         self.due = now + SAMPLE_PERIOD;
         let mut cuts = Vec::new();
         for (page, player) in &mut self.players {
-            player.tool.take_if(|tool| !tool.is_held(now));
             let Some(sample) = player.tool.as_mut().and_then(|tool| tool.poll(now)) else {
                 continue;
             };

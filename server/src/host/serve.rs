@@ -330,7 +330,7 @@ impl Session {
         match &answer.report {
             TissueReport::Settled { tick, inserted, .. } => {
                 if let Some(pages) = &mut self.pages {
-                    pages.note_inserted(inserted);
+                    pages.note_inserted(inserted, tick.view_time);
                 }
                 self.ticks_us.saturating_record(us.max(1));
                 tracing::trace!(?tick, us, "tick");

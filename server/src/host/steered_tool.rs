@@ -16,6 +16,10 @@ pub(super) const SAMPLE_PERIOD: Span = Span::from_millis(8);
 /// A page that sends no pose for this long has let go of its tool. Pages send 30 per second at rest.
 const SILENCE_MAX: Span = Span::from_millis(1500);
 
+/// A page that comes back this near still has its tool: the way of the hand in a moment without the pointer.
+const NEAR_M: f64 = 5e-3;
+const NEAR_RAD: f64 = 0.1;
+
 /// Limits of the tool, as of the device `pointer`.
 const SPEED_M_PER_S: f64 = 0.4;
 const TURN_RAD_PER_S: f64 = 4.0;
@@ -30,6 +34,8 @@ pub(super) struct SteeredTool {
     is_inserted: bool,
     /// The newest pose of the page.
     heard: ServerTime,
+    /// Time of the first sample since the latest silence.
+    first: Option<ServerTime>,
     sampled: ServerTime,
 }
 
@@ -43,18 +49,26 @@ impl SteeredTool {
             buttons: 0,
             is_inserted: false,
             heard: now,
+            first: None,
             sampled: now,
         }
     }
 
     /// Moves the tool to a pose.
     pub(super) fn steer(&mut self, pose: &Pose, buttons: u8, now: ServerTime) {
+        if !self.is_held(now) {
+            self.first = None;
+        }
         (self.goal, self.buttons, self.heard) = (device_pose(pose), buttons, now);
     }
 
-    /// Sets whether the tissue holds it, as a needle. A page has no tissue of its own, so the authoritative shape decides.
-    pub(super) fn hold(&mut self, is_inserted: bool) {
-        self.is_inserted = is_inserted;
+    /// Sets whether the tissue at `view_time` holds it, as a needle. A page has no tissue of its own, so the authoritative shape
+    /// decides. A view without samples of the tool decides nothing: after a silence the needle is where it was.
+    pub(super) fn hold(&mut self, is_inserted: bool, view_time: ServerTime) {
+        let is_sampled = |first| (first..=self.sampled).contains(&view_time);
+        if self.first.is_some_and(is_sampled) {
+            self.is_inserted = is_inserted;
+        }
     }
 
     /// Whether the page still sends poses.
@@ -62,13 +76,22 @@ impl SteeredTool {
         now - self.heard <= SILENCE_MAX
     }
 
-    /// The sample of now, if it is due.
+    /// Whether a page that sends this pose now still has the tool: without a silence, or back at the place.
+    pub(super) fn continues(&self, pose: &Pose, now: ServerTime) -> bool {
+        let (at, pose) = (self.follower.pose(), device_pose(pose));
+        let is_near = (at.position - pose.position).norm() <= NEAR_M
+            && at.orientation.angle_to(&pose.orientation) <= NEAR_RAD;
+        self.is_held(now) || is_near
+    }
+
+    /// The sample of now, if it is due and the page sends poses.
     pub(super) fn poll(&mut self, now: ServerTime) -> Option<ToolSample> {
         let passed = now - self.sampled;
-        if passed < SAMPLE_PERIOD {
+        if passed < SAMPLE_PERIOD || !self.is_held(now) {
             return None;
         }
         self.sampled = now;
+        self.first.get_or_insert(now);
         // A server that was held up continues from there.
         let step_s = passed.min(SAMPLE_PERIOD + SAMPLE_PERIOD).as_secs_f64();
         self.follower.step(&self.goal, step_s);
@@ -119,8 +142,29 @@ mod tests {
         let mut tool = SteeredTool::new(&at(0.0), ms(0));
         tool.steer(&at(0.0), INSERTED_BUTTON | 2, ms(1));
         assert_eq!(tool.poll(ms(10)).unwrap().buttons, 2);
-        tool.hold(true);
+        tool.hold(true, ms(10));
         assert_eq!(tool.poll(ms(20)).unwrap().buttons, INSERTED_BUTTON | 2);
+    }
+
+    #[test]
+    fn needle_stays_in_the_tissue_over_a_silence() {
+        let ms = |ms: i64| ServerTime::from_micros(1000 * ms);
+        let mut tool = SteeredTool::new(&at(0.0), ms(0));
+        tool.steer(&at(0.0), 0, ms(1));
+        tool.poll(ms(10)).unwrap();
+        tool.hold(true, ms(10));
+        // The shape lets go of a tool without samples.
+        assert_eq!(tool.poll(ms(2000)), None);
+        tool.hold(false, ms(2000));
+        assert!(tool.continues(&at(0.004), ms(4000)));
+        assert!(!tool.continues(&at(0.006), ms(4000)));
+        tool.steer(&at(0.004), 0, ms(4000));
+        assert_eq!(tool.poll(ms(4010)).unwrap().buttons, INSERTED_BUTTON);
+        // A late view of the silence.
+        tool.hold(false, ms(4005));
+        assert_eq!(tool.poll(ms(4020)).unwrap().buttons, INSERTED_BUTTON);
+        tool.hold(false, ms(4010));
+        assert_eq!(tool.poll(ms(4030)).unwrap().buttons, 0);
     }
 
     #[test]

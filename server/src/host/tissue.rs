@@ -156,7 +156,7 @@ impl Settler {
                         let tissue = self.authority.tissue();
                         let at = (order.view_time, order.returns);
                         let reactions = self.authority.reactions();
-                        feed.show_shape(tissue.topology(), tissue.shape(), at, &reactions);
+                        feed.show(tissue.topology(), tissue.shape(), at, &reactions);
                     }
                     let used = Span::from_micros((threads::worked_ns() - worked_ns) / 1000);
                     let rest = budget.charge(now_ns / 1000, used);

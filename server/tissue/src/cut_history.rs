@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use crate::cut::Plan;
+use crate::cut::{Plan, StrokeTree};
 use crate::{CutError, CutOutcome, StrokePart, Topology};
 
 /// Strokes whose undo repeats nothing: the topologies before the latest ones are kept. Older ones thin out, so that their
@@ -19,6 +19,8 @@ pub struct CutHistory {
     uncut: Arc<Topology>,
     /// Parts of strokes in effect, in order.
     done: Vec<Arc<StrokePart>>,
+    /// Their swept surfaces.
+    swept: StrokeTree,
     /// Strokes taken back, the latest last.
     undone: Vec<Vec<Arc<StrokePart>>>,
     /// Strokes in effect that began here.
@@ -67,6 +69,7 @@ impl CutHistory {
         Self {
             uncut,
             done: Vec::new(),
+            swept: StrokeTree::default(),
             undone: Vec::new(),
             begun: 0,
             kept: Vec::new(),
@@ -79,8 +82,13 @@ impl CutHistory {
         done: Vec<Arc<StrokePart>>,
         undone: Vec<Vec<Arc<StrokePart>>>,
     ) -> Self {
+        let mut swept = StrokeTree::default();
+        for (i, part) in done.iter().enumerate() {
+            swept.push(part, &done[..i]);
+        }
         Self {
             done,
+            swept,
             undone,
             ..Self::new(uncut)
         }
@@ -107,6 +115,11 @@ impl CutHistory {
     /// Parts of strokes in effect, in order.
     pub(crate) fn done(&self) -> &[Arc<StrokePart>] {
         &self.done
+    }
+
+    /// The swept surfaces of the strokes in effect.
+    pub(crate) fn swept(&self) -> &StrokeTree {
+        &self.swept
     }
 
     /// Strokes taken back, the latest last.
@@ -191,6 +204,7 @@ impl CutHistory {
         let (parts, mut by) = (kept.parts, kept.topology);
         follower.rewind(&by, parts);
         let since = self.done.split_off(parts);
+        self.swept.truncate(parts);
         self.repeat(&mut by, &since, follower);
         follower.reach(&by);
         let doubled = self.repeat(&mut by, &others, follower);
@@ -243,6 +257,7 @@ impl CutHistory {
         // A copy is made only for a stroke that parts something.
         let plan = Plan::of(topology, &path)?;
         let outcome = plan.apply(Arc::make_mut(topology), &path);
+        self.swept.push(&part, &self.done);
         self.done.push(part);
         if let Some((parts, topology)) = before {
             self.begun += 1;

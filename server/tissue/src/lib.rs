@@ -36,6 +36,7 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod blades;
 mod block;
 pub mod cell;
 mod contact;
@@ -58,6 +59,7 @@ mod stroke_list;
 mod tissue;
 mod topology;
 
+pub use blades::Blades;
 pub use block::block;
 pub use cell::Cell;
 pub use contact::{Clearance, ContactPatch, Form, Needle, Reaction, ShaftReaction, Tool};

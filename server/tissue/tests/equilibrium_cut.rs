@@ -149,7 +149,7 @@ fn solver_follows_tissue_that_parts_from_bone() {
         let lift = |d: &(u32, u32)| t.shape().displacement[d.0 as usize].norm();
         outcome.doubled.iter().map(lift).fold(0.0, f64::max)
     };
-    // What the coarse levels have moved so far moves no parted node.
+    // A parted node does not receive earlier displacements of the coarse levels.
     followed.step(&ball(2.0 * MM), Budget::new(0, 1e-6));
     assert!(lifts(&followed) == 0.0, "{}", lifts(&followed));
     let mut rebuilt = Tissue::at_rest(Arc::clone(followed.topology()));

@@ -7,7 +7,7 @@
 //! and each new point would begin without stretch.
 
 use palpate_haptics::{ContactModel, Touch};
-use palpate_tissue::{BladePoint, EdgeTrack, Tissue, Vec3, edge_resistance};
+use palpate_tissue::{EdgeTrack, Tissue, edge_resistance};
 
 use super::contact_model::MODEL_RADIUS_M;
 use crate::tools::ToolAt;
@@ -22,15 +22,13 @@ pub(super) struct CuttingForce {
 }
 
 impl CuttingForce {
-    /// Adds the resistance of the tissue against a blade that cuts to the model of its contacts.
+    /// Adds the resistance of the tissue against a tool that cuts to the model of its contacts.
     pub(super) fn add_to(&mut self, model: &mut ContactModel, tissue: &Tissue, tool: &ToolAt) {
-        let axis = tool.orientation * Vec3::z();
-        let blade = BladePoint {
-            tip: tool.position,
-            axis,
-            depth_m: tool.description.length_m,
+        let Some(blade) = tool.edge() else {
+            return;
         };
-        let edge = edge_resistance(tissue.topology(), tissue.shape(), &blade, &mut self.track);
+        let (topology, shape, history) = (tissue.topology(), tissue.shape(), tissue.history());
+        let edge = edge_resistance(topology, shape, history, &blade, &mut self.track);
         if edge.newtons <= 0.0 {
             return;
         }
@@ -39,9 +37,9 @@ impl CuttingForce {
         model.radius = MODEL_RADIUS_M;
         model.touches[0] = Touch {
             touches: true,
-            lever: axis * edge.along_m,
+            lever: blade.axis * edge.along_m,
             tangential_stiffness: edge.newtons / YIELD_M,
-            normal: axis,
+            normal: blade.axis,
             pressed_n: edge.newtons,
             mu_static: 1.0,
             mu_dynamic: 1.0,
@@ -59,7 +57,7 @@ mod tests {
     use palpate_haptics::{Chain, ChainConfig, Tick};
     use palpate_protocol::tool::ToolDescription;
     use palpate_protocol::{ClientTime, ParticipantId};
-    use palpate_tissue::{Budget, Model};
+    use palpate_tissue::{Budget, CutStroke, Model, Vec3};
     use proptest::prelude::*;
 
     use super::*;
@@ -128,6 +126,35 @@ mod tests {
             prop_assert!(off < 0.02, "{} {expected}", tick.wrench.force);
             prop_assert_eq!(tick.proxy_offset, Vec3::zeros());
         }
+    }
+
+    #[test]
+    fn blade_that_follows_its_wound_feels_nothing() {
+        let mut tissue = Tissue::new(tissue());
+        let blade = |y: f64| ToolAt {
+            participant: ParticipantId(1),
+            description: ToolDescription::scalpel(6e-3, 0.02),
+            position: Vec3::new(6.1, y, 4.2) * CELL_M,
+            orientation: UnitQuaternion::identity(),
+            buttons: 1,
+            strength: 1.0,
+            returns: false,
+        };
+        let pressed_n = |tissue: &Tissue| {
+            let (mut force, mut model) = (CuttingForce::default(), ContactModel::FREE);
+            for y in [5.0, 5.2] {
+                model = ContactModel::FREE;
+                force.add_to(&mut model, tissue, &blade(y));
+            }
+            model.touches[0].pressed_n
+        };
+        assert!((pressed_n(&tissue) - TOUGHNESS_J_M2 * 1.8 * CELL_M).abs() < 0.02);
+        let stroke = CutStroke {
+            points: (-1..12).filter_map(|y| blade(y.into()).edge()).collect(),
+            width_m: 0.5e-3,
+        };
+        tissue.cut(&stroke).unwrap();
+        assert_eq!(pressed_n(&tissue), 0.0);
     }
 
     #[test]

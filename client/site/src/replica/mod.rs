@@ -365,8 +365,8 @@ impl Replica {
             hold_shaft(&mut model, needle, shaft);
         }
         model.is_inserted = parts.iter().any(|r| r.is_inserted);
-        if let Some(blade) = own.filter(|own| own.is_cutting()) {
-            self.cutting.add_to(&mut model, tissue, blade);
+        if let Some(own) = own {
+            self.cutting.add_to(&mut model, tissue, own);
         }
         ContactModel {
             external_work_j: self.others.work_j,

@@ -7,8 +7,10 @@ use std::sync::Arc;
 
 use palpate_protocol::ServerTime;
 use palpate_protocol::datagram::Corrections;
+use palpate_protocol::tool::part_id;
 use palpate_tissue::{
-    Budget, CutPreparer, PreparedCut, Shape, StepReport, Tissue, Tool, Topology, Vec3,
+    Blades, Budget, CutPreparer, PreparedCut, Reaction, Shape, StepReport, Tissue, Tool, Topology,
+    Vec3,
 };
 
 use super::history::History;
@@ -43,6 +45,7 @@ pub struct View {
     history: History,
     was_corrected: bool,
     tools: Vec<Tool>,
+    blades: Blades,
 }
 
 impl View {
@@ -52,6 +55,7 @@ impl View {
             history: History::default(),
             was_corrected: false,
             tools: Vec::new(),
+            blades: Blades::default(),
         }
     }
 
@@ -94,6 +98,16 @@ impl View {
         let version = self.topology().version();
         self.history.push(s, version, self.tissue.shape(), changed);
         self.tissue.report()
+    }
+
+    /// The reactions of the latest step on these tools, cutting blades included.
+    pub fn reactions(&mut self, tools: &[ToolAt]) -> Vec<Reaction> {
+        let shown = tools.iter().filter(|tool| tool.strength > 0.0);
+        let edge = |tool: &ToolAt| Some((part_id(tool.participant, 0), tool.edge()?));
+        let blades: Vec<_> = shown.filter_map(edge).collect();
+        self.blades.follow(&blades, &self.tissue);
+        let pressing = self.tissue.report().reactions.iter();
+        pressing.chain(self.blades.reactions()).cloned().collect()
     }
 
     /// Compares a past view with the server's corrections, and blends the difference into the present one. `None` if

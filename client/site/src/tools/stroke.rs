@@ -50,6 +50,11 @@ impl StrokeCollector {
         }
     }
 
+    /// Drops the stroke of a blade that has jumped.
+    pub fn drop_open(&mut self) {
+        self.open = None;
+    }
+
     /// Adds a blade pose and the state of its button. Returns a part of the stroke when one is due, and the last part on
     /// release.
     pub fn push(&mut self, time: ServerTime, pose: &Pose, pressed: bool) -> Option<CutRequest> {

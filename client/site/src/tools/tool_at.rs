@@ -5,7 +5,7 @@ use palpate_protocol::ParticipantId;
 use palpate_protocol::operation::HeldTool;
 use palpate_protocol::timeline::Shown;
 use palpate_protocol::tool::{INSERTED_BUTTON, ToolDescription, ToolKind, part_id};
-use palpate_tissue::{Form, Needle, Tool, Vec3};
+use palpate_tissue::{BladePoint, Form, Needle, Tool, Vec3};
 
 use super::convert::orientation;
 
@@ -78,6 +78,15 @@ impl ToolAt {
     /// Whether it is a cutting blade: its main button is held.
     pub fn is_cutting(&self) -> bool {
         self.description.kind == ToolKind::Scalpel && self.buttons & 1 == 1
+    }
+
+    /// Its edge, if it is a cutting blade.
+    pub(crate) fn edge(&self) -> Option<BladePoint> {
+        self.is_cutting().then(|| BladePoint {
+            tip: self.position,
+            axis: self.orientation * Vec3::z(),
+            depth_m: self.description.length_m,
+        })
     }
 
     /// Whether it is a needle in the tissue, by the decision of its holder.

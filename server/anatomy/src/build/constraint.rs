@@ -36,6 +36,15 @@ impl Constraint {
         !self.outer && self.owners == 0
     }
 
+    /// The interfaces that two nodes have in common.
+    pub(super) fn common(self, other: Self) -> Self {
+        Self {
+            outer: self.outer && other.outer,
+            owners: self.owners & other.owners,
+            ..Self::default()
+        }
+    }
+
     /// A node on one interface alone.
     pub(super) fn on(interface: Interface) -> Self {
         match interface {

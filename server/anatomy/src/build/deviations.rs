@@ -2,7 +2,7 @@
 
 use super::component_loss::ComponentLoss;
 use super::contact_change::ContactReport;
-use super::{BuildReport, RegionReport, ThinKind};
+use super::{BuildReport, FaultKind, RegionReport, SurfaceReport, ThinKind};
 use crate::scene::{Scene, Thresholds};
 
 /// Most components of a kind, and most contacts, that are named in warnings; the rest is counted.
@@ -11,13 +11,13 @@ const NAMED_MAX: usize = 10;
 /// Distance, in spacings, from which a region is reported unless the scene sets one.
 const DISTANCE_MAX: f64 = 2.0;
 
-/// Adds the warnings about a report to it. `folded` are the regions whose input surface overlaps itself or is inside out
-/// in part. Contacts of regions that the scene fuses are intended.
-pub(super) fn warn(report: &mut BuildReport, folded: &[usize], scene: &Scene) {
+/// Adds the warnings about a report to it. `faulty` are the regions whose input surface overlaps itself, or is inside
+/// out or ambiguous in part. Contacts of regions that the scene fuses are intended.
+pub(super) fn warn(report: &mut BuildReport, faulty: &[usize], scene: &Scene) {
     let thresholds = &scene.thresholds;
     let mut warnings = Vec::new();
     for (r, region) in report.regions.iter().enumerate() {
-        let cause = if folded.contains(&r) {
+        let cause = if faulty.contains(&r) {
             "its input surface is faulty, so repair that first"
         } else if is_thin(report, region) {
             "parts of it are thinner than the spacing"
@@ -34,7 +34,18 @@ pub(super) fn warn(report: &mut BuildReport, folded: &[usize], scene: &Scene) {
         pairs.any(|&[p, q]| (name(p), name(q)) == (a, b))
     };
     of_contacts(&report.contacts, thresholds, fused, &mut warnings);
-    report.deviations = folded.len() + warnings.len();
+    of_surface(
+        report,
+        None,
+        &report.outer_surface,
+        thresholds,
+        &mut warnings,
+    );
+    for region in &report.regions {
+        let name = Some(&region.name);
+        of_surface(report, name, &region.surface, thresholds, &mut warnings);
+    }
+    report.deviations = faulty.len() + warnings.len();
     // No threshold decides on these: pieces of the model and components of the input are counted in different ways.
     warnings.extend(report.regions.iter().filter_map(of_pieces));
     report.warnings.append(&mut warnings);
@@ -132,6 +143,41 @@ fn of_components(loss: &ComponentLoss, warnings: &mut Vec<String>) {
         if more > 0 {
             warnings.push(format!("{more} further components are {what}"));
         }
+    }
+}
+
+fn of_surface(
+    report: &BuildReport,
+    region: Option<&String>,
+    surface: &SurfaceReport,
+    thresholds: &Thresholds,
+    warnings: &mut Vec<String>,
+) {
+    let name = region.map_or_else(
+        || "the outer surface".to_owned(),
+        |name| format!("the surface of region {name:?}"),
+    );
+    let first = |kind: FaultKind| {
+        let mut faults = report.surface_faults.iter();
+        let fault = faults.find(|f| f.kind == kind && f.region.as_ref() == region);
+        fault.map_or_else(String::new, |fault| {
+            let [x, y, z] = fault.at_mm;
+            format!(", the first at ({x:.1}, {y:.1}, {z:.1}) mm")
+        })
+    };
+    if surface.edges_not_two > 0 {
+        warnings.push(format!(
+            "{name} is not closed: {} edges do not belong to two triangles{}; use another spacing_mm",
+            surface.edges_not_two,
+            first(FaultKind::EdgeNotTwo)
+        ));
+    }
+    if surface.self_intersections as f64 > thresholds.self_intersections {
+        warnings.push(format!(
+            "{name} passes through itself at {} pairs of triangles{}; use another spacing_mm",
+            surface.self_intersections,
+            first(FaultKind::SelfIntersection)
+        ));
     }
 }
 

@@ -258,7 +258,7 @@ impl Joints<'_> {
         match self.between(cells, regions) {
             Some(between) => between == Between::Nothing,
             // The face lies on one side of the gap. Where the same tissue holds both parts it may lie in the tissue.
-            None => !self.parts.have_a_neighbour_in_common(p, q) && !self.is_filled(cells, [a, b]),
+            None => !self.parts.have_a_neighbour_in_common(p, q),
         }
     }
 
@@ -285,19 +285,6 @@ impl Joints<'_> {
             }
         }
         found
-    }
-
-    /// Whether other regions fill more of two cells than is left empty.
-    fn is_filled(&self, cells: [usize; 2], labels: [u8; 2]) -> bool {
-        let (mut others, mut all, mut mixed) = (0.0, 0.0, 0.0);
-        for shares in cells.map(|c| self.walls.shares_of(c)) {
-            mixed += f64::from(u8::from(!shares.is_empty()));
-            for share in shares {
-                all += share.filled();
-                others += f64::from(u8::from(!labels.contains(&share.label))) * share.filled();
-            }
-        }
-        others > mixed - all
     }
 
     /// The part that a cell belongs to. A cell of a label that does not reach into it belongs to the part of most

@@ -159,13 +159,14 @@ pub(super) fn too_coarse(surfaces: &[&Surface], spacing: f64) -> InputError {
     ))
 }
 
-/// Warns of surfaces that overlap themselves or are inside out in part. Returns the regions of these.
+/// Warns of surfaces that overlap themselves or are inside out in part. Returns the regions of these, and those of
+/// ambiguous surfaces.
 pub(super) fn folds(
     input: &SceneInput,
     folds: &[(usize, Folds)],
     warnings: &mut Vec<String>,
 ) -> Vec<usize> {
-    let mut faulty = Vec::new();
+    let mut faulty = input.faulty.clone();
     for (r, found) in folds {
         let name = &input.scene.regions[*r].name;
         let size = |fold: &Fold| {
@@ -194,6 +195,8 @@ pub(super) fn folds(
             ));
         }
     }
+    faulty.sort_unstable();
+    faulty.dedup();
     faulty
 }
 

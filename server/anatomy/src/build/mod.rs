@@ -7,7 +7,8 @@
 //! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
 //!    nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
 //! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and regions regain the volume that
-//!    straight faces have cut off ([`volume_correction`]).
+//!    straight faces have cut off ([`volume_correction`]). Triangles of interfaces that pass through each other are
+//!    parted ([`parting`]).
 //! 5. The model is compared with its input ([`compare`]), and parts thinner than the spacing are listed with
 //!    their position ([`interface_samples`], [`thin`]).
 //!
@@ -36,6 +37,7 @@ mod layers;
 mod mending;
 mod occupancy_grid;
 mod overlap;
+mod parting;
 mod parts;
 mod quality;
 mod rays;
@@ -47,6 +49,7 @@ mod rim;
 mod snap;
 mod spacing;
 mod strands;
+mod surface_faults;
 #[cfg(test)]
 mod tests;
 mod thin;
@@ -66,6 +69,7 @@ pub use report::{
     BarReport, BuildReport, LayerReport, QualityReport, RegionReport, SpacingReport, SpringCounts,
     SurfaceReport,
 };
+pub use surface_faults::{FaultKind, SurfaceFault};
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 
 use crate::scene::{Scene, SceneInput};
@@ -105,7 +109,7 @@ pub fn build(
     input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
     let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &mut walls);
-    let folded = input_check::folds(input, &folds, &mut warnings);
+    let faulty = input_check::folds(input, &folds, &mut warnings);
     prefer_voxels(&mut input_volumes, input);
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
@@ -189,11 +193,13 @@ pub fn build(
         component_loss: component_loss::losses(&overlap.components, &names, &input.scene),
         contacts: contact_change::contacts(&grid, &samples, &faces, &model.nodes, &names),
         gaps,
+        surface_faults: Vec::new(),
         topology_hash: figures.topology_hash,
         deviations: 0,
         warnings,
     };
-    deviations::warn(&mut report, &folded, &input.scene);
+    surface_faults::enter(&mut report, &model, &faces, &placed.crossing);
+    deviations::warn(&mut report, &faulty, &input.scene);
     progress("done", 1.0);
     Ok((model, report))
 }
@@ -287,9 +293,11 @@ struct Placed {
     tied: usize,
     /// Nodes released from their interface.
     let_go: Vec<u32>,
+    /// The two faces of each pair of triangles that pass through each other.
+    crossing: Vec<[u32; 2]>,
 }
 
-/// Snaps, relaxes, untangles, and restores the volumes.
+/// Snaps, relaxes, untangles, restores the volumes, and parts crossing triangles.
 fn position_nodes(
     grid: &Grid,
     lattice: &mut lattice::Lattice,
@@ -310,9 +318,13 @@ fn position_nodes(
     progress("making cells good", 0.5);
     let untangler =
         untangle::Untangler::new(lattice, interfaces, &constraints, grid.spacing, grid.origin);
-    let let_go = untangler.untangle(&mut positions);
+    let mut let_go = untangler.untangle(&mut positions);
     progress("restoring volumes", 0.7);
     volume_correction::restore_volumes(&untangler, faces, input.volumes, &mut positions);
+    let parted = parting::part_crossings(&untangler, faces, &mut positions);
+    let_go.extend(parted.moved);
+    let_go.sort_unstable();
+    let_go.dedup();
     let around = untangler.into_around();
     Placed {
         positions,
@@ -320,6 +332,7 @@ fn position_nodes(
         around,
         tied,
         let_go,
+        crossing: parted.crossing,
     }
 }
 

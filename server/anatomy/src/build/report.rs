@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::component_loss::ComponentLoss;
 use super::contact_change::ContactReport;
 use super::gaps::GapReport;
+use super::surface_faults::SurfaceFault;
 use super::thin::ThinParts;
 use crate::surface::{Edges, Sets};
 
@@ -46,6 +47,10 @@ pub struct BuildReport {
     /// Gaps of the input that stay open although no cell is empty there.
     #[serde(default)]
     pub gaps: Vec<GapReport>,
+    /// Places where the outer surface or that of a region is not closed or passes through itself: the first ones of each
+    /// surface.
+    #[serde(default)]
+    pub surface_faults: Vec<SurfaceFault>,
     /// Topology hash of the uncut model, hexadecimal.
     pub topology_hash: String,
     /// Number of warnings about faulty input surfaces, and about deviations beyond the thresholds of the scene.
@@ -194,6 +199,12 @@ pub struct SurfaceReport {
     pub triangles: usize,
     /// Whether every edge belongs to exactly two triangles.
     pub closed: bool,
+    /// Edges that do not.
+    #[serde(default)]
+    pub edges_not_two: usize,
+    /// Pairs of triangles of which an edge of one passes through the inside of the other.
+    #[serde(default)]
+    pub self_intersections: usize,
     /// Number of connected parts.
     pub components: usize,
 }
@@ -213,7 +224,8 @@ pub struct QualityReport {
     /// Cells by their least scaled Jacobian: below 0.1, 0.1 to 0.2, ... 0.9 to 1.
     #[serde(default)]
     pub scaled_jacobian: [usize; 10],
-    /// Nodes released from their surface so that their cells meet the quality floors.
+    /// Nodes released from their surface so that their cells meet the quality floors, or so that no surface passes
+    /// through itself.
     #[serde(default)]
     pub nodes_let_go: usize,
     /// Nodes that two interfaces claimed; the nearer interface got them.
@@ -224,7 +236,7 @@ pub struct QualityReport {
     pub cells_flipped: usize,
 }
 
-/// Counts the vertices, edges and parts of a surface.
+/// Counts the vertices, edges and parts of a surface, but not its self-intersections.
 pub(crate) fn report_triangles(triangles: &[[u32; 3]]) -> SurfaceReport {
     let mut vertices: Vec<u32> = triangles.iter().flatten().copied().collect();
     vertices.sort_unstable();
@@ -232,15 +244,17 @@ pub(crate) fn report_triangles(triangles: &[[u32; 3]]) -> SurfaceReport {
     let slot = |v: u32| vertices.partition_point(|&w| w < v) as u32;
     let mut sets = Sets::new(vertices.len());
     let mut components = vertices.len();
-    let mut closed = true;
+    let mut edges_not_two = 0;
     for uses in Edges::of(triangles).each() {
-        closed &= uses.len() == 2;
+        edges_not_two += usize::from(uses.len() != 2);
         components -= usize::from(sets.join(slot(uses[0].low), slot(uses[0].high)));
     }
     SurfaceReport {
         vertices: vertices.len(),
         triangles: triangles.len(),
-        closed,
+        closed: edges_not_two == 0,
+        edges_not_two,
+        self_intersections: 0,
         components,
     }
 }

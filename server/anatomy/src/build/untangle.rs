@@ -106,11 +106,14 @@ impl<'a> Untangler<'a> {
         gone
     }
 
-    /// Returns the nodes of layers one cell thick towards their interfaces. All corners of their cells lie on one.
+    /// Returns the nodes of layers one cell thick towards their interfaces. All corners of their cells lie on interfaces,
+    /// and not all on the same one.
     fn return_layers(&self, positions: &mut [Vec3]) {
-        let free = |node: &u32| self.constraints[*node as usize].free();
-        let cells = self.lattice.cells.iter();
-        let layers = cells.filter(|cell| !cell.corners.iter().any(free));
+        let layers = self.lattice.cells.iter().filter(|cell| {
+            let corners = cell.corners.map(|node| self.constraints[node as usize]);
+            let common = corners.into_iter().reduce(Constraint::common);
+            !corners.iter().any(|c| c.free()) && common.is_some_and(Constraint::free)
+        });
         let nodes = sorted(layers.flat_map(|cell| cell.corners));
         for _ in 0..RETURNS {
             let moves = nodes.par_iter().filter_map(|&node| {
@@ -126,6 +129,17 @@ impl<'a> Untangler<'a> {
     /// The cells around each node.
     pub(super) fn into_around(self) -> Vec<[u32; 8]> {
         self.around
+    }
+
+    /// Some nodes and all others of the cells around them, sorted.
+    pub(super) fn with_neighbours(&self, nodes: &[u32]) -> Vec<u32> {
+        self.nodes_of(&self.cells_at(nodes))
+    }
+
+    /// The lattice point of a node.
+    pub(super) fn lattice_point(&self, node: u32) -> Vec3 {
+        let at = self.lattice.nodes[node as usize];
+        self.origin + Vec3::from(at.map(f64::from)) * self.spacing
     }
 
     /// Lattice spacing in m.
@@ -275,10 +289,6 @@ impl<'a> Untangler<'a> {
     /// Moves the nodes of failing cells back towards their lattice points until none fails.
     fn let_go(&self, mut bad: Vec<u32>, positions: &mut [Vec3]) -> Vec<u32> {
         let mut gone = Vec::new();
-        let lattice_point = |node: u32| {
-            let at = self.lattice.nodes[node as usize];
-            self.origin + Vec3::from(at.map(f64::from)) * self.spacing
-        };
         for _ in 0..HALVINGS {
             if bad.is_empty() {
                 return sorted(gone.into_iter());
@@ -286,7 +296,7 @@ impl<'a> Untangler<'a> {
             let nodes = self.nodes_of(&bad);
             for &node in &nodes {
                 let at = positions[node as usize];
-                positions[node as usize] = (at + lattice_point(node)) / 2.0;
+                positions[node as usize] = (at + self.lattice_point(node)) / 2.0;
             }
             let mut touched = self.failing(self.cells_at(&nodes).into_iter(), positions, GOOD);
             gone.extend(nodes);
@@ -300,7 +310,7 @@ impl<'a> Untangler<'a> {
         while !bad.is_empty() {
             let nodes = self.nodes_of(&bad);
             for &node in &nodes {
-                positions[node as usize] = lattice_point(node);
+                positions[node as usize] = self.lattice_point(node);
             }
             bad = self.failing(self.cells_at(&nodes).into_iter(), positions, FLOOR);
             gone.extend(nodes);

@@ -27,6 +27,8 @@ pub struct SceneInput {
     /// label volume. The first surface encloses all, so nothing lies before it. Empty when the builder has to
     /// search for the sides.
     pub sides: Vec<Vec<Sides>>,
+    /// Regions whose surface is not wound consistently, so that its inside is ambiguous.
+    pub faulty: Vec<usize>,
     /// Repairs and warnings, one sentence each, with the region's name.
     pub warnings: Vec<String>,
 }
@@ -41,6 +43,7 @@ impl SceneInput {
             voxels_m3: vec![None; scene.regions.len()],
             voxels: None,
             sides: vec![Vec::new(); scene.regions.len()],
+            faulty: Vec::new(),
             warnings: Vec::new(),
             scene,
         };
@@ -72,6 +75,7 @@ impl SceneInput {
             voxels_m3: vec![None; surfaces.len()],
             voxels: None,
             sides: vec![Vec::new(); surfaces.len()],
+            faulty: Vec::new(),
             warnings: Vec::new(),
             surfaces,
             scene,
@@ -95,6 +99,9 @@ impl SceneInput {
                     path.display()
                 ))
             })?;
+            if report.unbalanced_edges > 0 {
+                self.faulty.push(r);
+            }
             let (name, file) = (&region.name, region.source.file().display());
             let say = |w: &String| format!("{name} ({file}): {w}");
             self.warnings.extend(report.warnings.iter().map(say));

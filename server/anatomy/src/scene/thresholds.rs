@@ -5,12 +5,13 @@ use toml::de::DeTable;
 use super::keys::Text;
 use crate::InputError;
 
-const KEYS: [&str; 5] = [
+const KEYS: [&str; 6] = [
     "dice",
     "volume_percent",
     "distance_mm",
     "contact_mm2",
     "component_mm3",
+    "self_intersections",
 ];
 
 /// Deviations of a model from its input from which the build report warns.
@@ -27,6 +28,8 @@ pub struct Thresholds {
     pub contact_mm2: f64,
     /// Volume in mm³ from which it warns of a component that was lost or merged.
     pub component_mm3: f64,
+    /// Number of pairs of triangles of a surface that pass through each other, above which it warns.
+    pub self_intersections: f64,
 }
 
 impl Default for Thresholds {
@@ -37,6 +40,7 @@ impl Default for Thresholds {
             distance_mm: None,
             contact_mm2: 10.0,
             component_mm3: 1.0,
+            self_intersections: 0.0,
         }
     }
 }
@@ -68,6 +72,7 @@ impl Thresholds {
         this.distance_mm = number("distance_mm")?;
         this.contact_mm2 = number("contact_mm2")?.unwrap_or(this.contact_mm2);
         this.component_mm3 = number("component_mm3")?.unwrap_or(this.component_mm3);
+        this.self_intersections = number("self_intersections")?.unwrap_or(this.self_intersections);
         Ok(this)
     }
 
@@ -80,6 +85,7 @@ impl Thresholds {
             (self.distance_mm.unwrap_or(-1.0), -1.0),
             (self.contact_mm2, default.contact_mm2),
             (self.component_mm3, default.component_mm3),
+            (self.self_intersections, default.self_intersections),
         ];
         let pairs = KEYS.into_iter().zip(values);
         pairs
@@ -107,7 +113,8 @@ mod tests {
         let default = scene("").unwrap();
         assert_eq!(default.thresholds, super::Thresholds::default());
         assert!(!default.to_toml().contains("[report]"));
-        let text = "[report]\ndice = 0.5\nvolume_percent = 3\ndistance_mm = 7.5\ncontact_mm2 = 0\ncomponent_mm3 = 30.0\n";
+        let text = "[report]\ndice = 0.5\nvolume_percent = 3\ndistance_mm = 7.5\ncontact_mm2 = 0\ncomponent_mm3 = 30.0\n\
+                    self_intersections = 2\n";
         let changed = scene(text).unwrap();
         let expected = super::Thresholds {
             dice: 0.5,
@@ -115,6 +122,7 @@ mod tests {
             distance_mm: Some(7.5),
             contact_mm2: 0.0,
             component_mm3: 30.0,
+            self_intersections: 2.0,
         };
         assert_eq!(changed.thresholds, expected);
         let again = Scene::parse(&changed.to_toml(), Path::new(".")).unwrap();

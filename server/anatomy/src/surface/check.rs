@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use palpate_tissue::Vec3;
 
-use super::edges::{EdgeUse, Edges, Sets, in_mm, size_in_mm};
+use super::edges::{EdgeUse, Edges, Sets, Tally, in_mm, size_in_mm};
 use super::orient::{self, Orientation};
 use super::{Aabb, CheckReport, Surface};
 use crate::InputError;
@@ -35,9 +35,9 @@ impl Surface {
     pub fn check(&mut self) -> Result<CheckReport, InputError> {
         self.refuse_nonsense()?;
         let before = self.triangles.len();
-        let degenerate_dropped = self.drop_degenerate();
-        let needles_kept = self.needles();
-        if needles_kept == self.triangles.len() {
+        let degenerate = self.drop_degenerate();
+        let needles = self.needles();
+        if needles.count == self.triangles.len() {
             let size = self
                 .aabb()
                 .map_or_else(String::new, |b| size_in_mm(&b.extent()));
@@ -46,12 +46,14 @@ impl Surface {
                  was it scaled to zero on some axis?"
             )));
         }
-        let duplicates_dropped = self.drop_duplicates();
+        let duplicates = self.drop_duplicates();
         if self.triangles.is_empty() {
             return Err(self.no_volume());
         }
         let edges = Edges::of(&self.triangles);
         self.refuse_open(&edges)?;
+        let shared = edges.each().filter(|uses| uses.len() > 2);
+        let shared = Tally::of(shared.map(|uses| self.edge_middle(uses)));
         let orientation = orient::orient(self, &edges)?;
         self.drop_unused_vertices();
 
@@ -60,22 +62,63 @@ impl Surface {
         if volume_m3 <= NO_VOLUME * area_m2 * aabb.extent().max() {
             return Err(self.no_volume());
         }
-        let mut report = CheckReport {
+        let Orientation {
+            repaired,
+            turned,
+            nested,
+            unbalanced_edges,
+            ..
+        } = orientation;
+        let mut warnings = Vec::new();
+        let mut say = |found: Tally, what: &str| {
+            if let Some(first) = found.first {
+                let (count, at) = (found.count, in_mm(&first));
+                warnings.push(format!("{count} {what}; the first at {at}"));
+            }
+        };
+        say(
+            degenerate,
+            "degenerate triangles (two corners in one place) were dropped",
+        );
+        say(
+            needles,
+            "triangles have zero area; they were kept, the surface would be open without them",
+        );
+        say(duplicates, "duplicate triangles were dropped");
+        say(
+            repaired,
+            "triangles were wound against their neighbours and were turned",
+        );
+        say(turned, "components were inside out and were turned");
+        say(
+            shared,
+            "edges join four or more triangles (parts touch along an edge); accepted",
+        );
+        say(
+            unbalanced_edges,
+            "of these edges are not used equally in both directions: volumes near them may be wrong",
+        );
+        say(
+            nested,
+            "components lie inside another one and face outward: they add nothing to it; if a cavity \
+             was meant, turn them inside out",
+        );
+        warnings.extend(unit_warning(&aabb));
+        Ok(CheckReport {
             components: orientation.components,
             cavities: orientation.cavities,
-            degenerate_dropped,
-            needles_kept,
-            duplicates_dropped,
-            winding_repaired: orientation.repaired,
-            components_turned: orientation.turned,
-            non_manifold_edges: edges.each().filter(|uses| uses.len() > 2).count(),
+            degenerate_dropped: degenerate.count,
+            needles_kept: needles.count,
+            duplicates_dropped: duplicates.count,
+            winding_repaired: repaired.count,
+            components_turned: turned.count,
+            non_manifold_edges: shared.count,
+            unbalanced_edges: unbalanced_edges.count,
             volume_m3,
             area_m2,
             aabb,
-            warnings: Vec::new(),
-        };
-        report.warnings = warnings(&report, &orientation);
-        Ok(report)
+            warnings,
+        })
     }
 
     fn refuse_nonsense(&self) -> Result<(), InputError> {
@@ -102,29 +145,37 @@ impl Surface {
     }
 
     /// Drops triangles with two corners at the same vertex: their edges cancel, no hole opens.
-    fn drop_degenerate(&mut self) -> usize {
-        let before = self.triangles.len();
+    fn drop_degenerate(&mut self) -> Tally {
+        let kept = |&[a, b, c]: &[u32; 3]| a != b && b != c && c != a;
+        self.drop_all_but(kept)
+    }
+
+    /// Drops the triangles that `keep` rejects.
+    fn drop_all_but(&mut self, mut keep: impl FnMut(&[u32; 3]) -> bool) -> Tally {
+        let kept: Vec<bool> = self.triangles.iter().map(&mut keep).collect();
+        let dropped = (0..kept.len()).filter(|t| !kept[*t]);
+        let dropped = Tally::of(dropped.map(|t| self.middle(t)));
+        let mut kept = kept.into_iter();
         self.triangles
-            .retain(|&[a, b, c]| a != b && b != c && c != a);
-        before - self.triangles.len()
+            .retain(|_| kept.next().expect("one flag per triangle"));
+        dropped
     }
 
     /// Number of triangles without area though their corners differ. Dropping one would tear the surface along
     /// its long edge, so they stay: they enclose nothing and hide nothing.
-    fn needles(&self) -> usize {
-        (0..self.triangles.len())
-            .filter(|&t| {
-                let [a, b, c] = self.corners(t);
-                let longest = [b - a, c - b, a - c].map(|e| e.norm_squared());
-                let longest = longest.into_iter().fold(0.0, f64::max);
-                (b - a).cross(&(c - a)).norm() * 0.5 <= NEEDLE * longest
-            })
-            .count()
+    fn needles(&self) -> Tally {
+        let flat = (0..self.triangles.len()).filter(|&t| {
+            let [a, b, c] = self.corners(t);
+            let longest = [b - a, c - b, a - c].map(|e| e.norm_squared());
+            let longest = longest.into_iter().fold(0.0, f64::max);
+            (b - a).cross(&(c - a)).norm() * 0.5 <= NEEDLE * longest
+        });
+        Tally::of(flat.map(|t| self.middle(t)))
     }
 
     /// Of triangles with the same corners, equally wound ones are repetitions of one triangle, and two of
     /// opposite winding are a fold without thickness: both are dropped.
-    fn drop_duplicates(&mut self) -> usize {
+    fn drop_duplicates(&mut self) -> Tally {
         let mut balance: HashMap<[u32; 3], (u32, i64)> = HashMap::new();
         let signed = |&[a, b, c]: &[u32; 3]| {
             let mut key = [a, b, c];
@@ -138,11 +189,10 @@ impl Surface {
             entry.0 += 1;
             entry.1 += sign;
         }
-        let before = self.triangles.len();
-        if balance.len() == before {
-            return 0;
+        if balance.len() == self.triangles.len() {
+            return Tally::default();
         }
-        self.triangles.retain(|t| {
+        self.drop_all_but(|t| {
             let (key, sign) = signed(t);
             match balance.get_mut(&key) {
                 Some((1, _)) => true,
@@ -153,8 +203,7 @@ impl Surface {
                 }
                 _ => false,
             }
-        });
-        before - self.triangles.len()
+        })
     }
 
     fn refuse_open(&self, edges: &Edges) -> Result<(), InputError> {
@@ -245,57 +294,15 @@ fn empty() -> InputError {
     InputError::new("the surface is empty: it has no triangle; export it again")
 }
 
-/// Warnings about an accepted surface.
-fn warnings(report: &CheckReport, orientation: &Orientation) -> Vec<String> {
-    let mut warnings = Vec::new();
-    let mut say = |count: usize, what: &str| {
-        if count > 0 {
-            warnings.push(format!("{count} {what}"));
-        }
-    };
-    say(
-        report.degenerate_dropped,
-        "degenerate triangles (two corners in one place) were dropped",
-    );
-    say(
-        report.needles_kept,
-        "triangles have zero area; they were kept, the surface would be open without them",
-    );
-    say(
-        report.duplicates_dropped,
-        "duplicate triangles were dropped",
-    );
-    say(
-        report.winding_repaired,
-        "triangles were wound against their neighbours and were turned",
-    );
-    say(
-        report.components_turned,
-        "components were inside out and were turned",
-    );
-    say(
-        report.non_manifold_edges,
-        "edges join four or more triangles (parts touch along an edge); accepted",
-    );
-    say(
-        orientation.unbalanced_edges,
-        "of these edges are not used equally in both directions: volumes near them may be wrong",
-    );
-    say(
-        orientation.nested,
-        "components lie inside another one and face outward: they add nothing to it; if a cavity \
-         was meant, turn them inside out",
-    );
-    let size = report.aabb.extent();
+/// Warns of a size that a wrong unit would explain.
+fn unit_warning(aabb: &Aabb) -> Option<String> {
+    let size = aabb.extent();
     let advice = if size.max() < SUSPICIOUSLY_SMALL_M {
-        Some("very small; was it written in metres? Then set unit = \"m\"")
+        "very small; was it written in metres? Then set unit = \"m\""
     } else if size.max() > SUSPICIOUSLY_LARGE_M {
-        Some("very large; was it written in millimetres and read as metres?")
+        "very large; was it written in millimetres and read as metres?"
     } else {
-        None
+        return None;
     };
-    if let Some(advice) = advice {
-        warnings.push(format!("the surface is {}: {advice}", size_in_mm(&size)));
-    }
-    warnings
+    Some(format!("the surface is {}: {advice}", size_in_mm(&size)))
 }

@@ -22,6 +22,8 @@ pub struct CheckReport {
     pub components_turned: usize,
     /// Edges that join four or another even number of triangles.
     pub non_manifold_edges: usize,
+    /// Of these, edges that are not used equally in both directions.
+    pub unbalanced_edges: usize,
     /// Enclosed volume in m³.
     pub volume_m3: f64,
     /// Area in m².

@@ -66,6 +66,23 @@ impl Sets {
     }
 }
 
+/// Number of faults of a kind, and the place of the first one.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Tally {
+    pub(crate) count: usize,
+    pub(crate) first: Option<Vec3>,
+}
+
+impl Tally {
+    /// Adds the places of faults.
+    pub(crate) fn of(places: impl IntoIterator<Item = Vec3>) -> Self {
+        let mut places = places.into_iter();
+        let first = places.next();
+        let count = usize::from(first.is_some()) + places.count();
+        Self { count, first }
+    }
+}
+
 /// Text of a point, for messages.
 pub(crate) fn in_mm(p: &Vec3) -> String {
     format!("({:.1}, {:.1}, {:.1}) mm", p.x * 1e3, p.y * 1e3, p.z * 1e3)

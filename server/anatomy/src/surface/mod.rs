@@ -6,6 +6,7 @@
 
 mod check;
 mod check_report;
+mod crossings;
 mod edges;
 mod obj;
 mod orient;
@@ -15,9 +16,11 @@ mod stl;
 mod weld;
 
 pub use check_report::CheckReport;
+pub use crossings::crossings;
 pub(crate) use edges::{Edges, Sets, in_mm};
 pub use read::{FILE_BYTES_MAX, TRIANGLES_MAX};
 
+use edges::EdgeUse;
 use palpate_tissue::Vec3;
 
 /// The unit of a surface file. In memory, every length is in metres.
@@ -80,6 +83,11 @@ impl Aabb {
     pub fn contains(&self, p: &Vec3) -> bool {
         (0..3).all(|k| self.min[k] <= p[k] && p[k] <= self.max[k])
     }
+
+    /// Whether the boxes have a point in common, boundaries included.
+    fn meets(&self, other: &Self) -> bool {
+        (0..3).all(|k| self.min[k] <= other.max[k] && other.min[k] <= self.max[k])
+    }
 }
 
 /// A triangle surface with welded vertices.
@@ -99,6 +107,18 @@ impl Surface {
     /// Positions of a triangle's corners.
     pub fn corners(&self, triangle: usize) -> [Vec3; 3] {
         self.triangles[triangle].map(|v| self.vertices[v as usize])
+    }
+
+    /// The middle of a triangle.
+    fn middle(&self, triangle: usize) -> Vec3 {
+        let [a, b, c] = self.corners(triangle);
+        (a + b + c) / 3.0
+    }
+
+    /// The middle of an edge, given its uses.
+    fn edge_middle(&self, uses: &[EdgeUse]) -> Vec3 {
+        let [a, b] = [uses[0].low, uses[0].high].map(|v| self.vertices[v as usize]);
+        (a + b) / 2.0
     }
 
     /// Enclosed volume in m³, negative when the surface is turned inside out (divergence

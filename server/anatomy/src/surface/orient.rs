@@ -9,7 +9,7 @@
 
 use palpate_tissue::Vec3;
 
-use super::edges::{Edges, Sets, in_mm};
+use super::edges::{EdgeUse, Edges, Sets, Tally, in_mm};
 use super::{Aabb, Surface, signed_volume};
 use crate::InputError;
 
@@ -25,13 +25,13 @@ pub(super) struct Orientation {
     /// Of these, cavities.
     pub(super) cavities: usize,
     /// Triangles turned to agree with their neighbours.
-    pub(super) repaired: usize,
+    pub(super) repaired: Tally,
     /// Components turned as a whole.
-    pub(super) turned: usize,
+    pub(super) turned: Tally,
     /// Components that face outward inside another one.
-    pub(super) nested: usize,
+    pub(super) nested: Tally,
     /// Edges of more than two triangles whose directions do not cancel.
-    pub(super) unbalanced_edges: usize,
+    pub(super) unbalanced_edges: Tally,
 }
 
 /// A neighbour across an edge of two triangles.
@@ -47,7 +47,8 @@ pub(super) fn orient(surface: &mut Surface, edges: &Edges) -> Result<Orientation
     let mut found = Orientation::default();
     let (patch_of, flips) = spread(surface, &neighbours(surface, edges))?;
     turn(surface, |t| flips[t]);
-    found.repaired = flips.iter().filter(|f| **f).count();
+    let flipped = (0..flips.len()).filter(|t| flips[*t]);
+    found.repaired = Tally::of(flipped.map(|t| surface.middle(t)));
 
     let members = components(&patch_of, edges);
     found.components = members.len();
@@ -58,17 +59,16 @@ pub(super) fn orient(surface: &mut Surface, edges: &Edges) -> Result<Orientation
         }
     }
     found.unbalanced_edges = if edges.each().any(|uses| uses.len() > 2) {
-        let balance = |uses: &[super::edges::EdgeUse]| {
+        let balance = |uses: &[EdgeUse]| {
             uses.iter()
                 .map(|u| if u.forward { 1 } else { -1 })
                 .sum::<i32>()
         };
-        Edges::of(&surface.triangles)
-            .each()
-            .filter(|uses| balance(uses) != 0)
-            .count()
+        let edges = Edges::of(&surface.triangles);
+        let odd = edges.each().filter(|uses| balance(uses) != 0);
+        Tally::of(odd.map(|uses| surface.edge_middle(uses)))
     } else {
-        0
+        Tally::default()
     };
     Ok(found)
 }
@@ -129,11 +129,10 @@ fn spread(
                     flips[n] = flip;
                     patch.push(n);
                 } else if flips[n] != flip {
-                    let [a, b, c] = surface.corners(n);
                     return Err(InputError::new(format_args!(
                         "the surface is one-sided near {}: its triangles cannot all face outward; \
                          export the surface again",
-                        in_mm(&((a + b + c) / 3.0))
+                        in_mm(&surface.middle(n))
                     )));
                 }
             }
@@ -184,7 +183,9 @@ fn inside_out(surface: &Surface, members: &[Vec<usize>], found: &mut Orientation
         .map(|m| signed_volume(surface, m.iter().copied()))
         .collect();
     let holders = holders(surface, members);
+    let middle = |c: usize| surface.middle(members[c][0]);
     let mut turned = vec![false; members.len()];
+    let mut nested = Vec::new();
     let mut order: Vec<usize> = (0..members.len()).collect();
     order.sort_by_key(|c| holders[*c].len());
     for c in order {
@@ -198,10 +199,11 @@ fn inside_out(surface: &Surface, members: &[Vec<usize>], found: &mut Orientation
         } else if faces_inward {
             found.cavities += 1;
         } else if depth % 2 == 1 {
-            found.nested += 1;
+            nested.push(c);
         }
     }
-    found.turned = turned.iter().filter(|t| **t).count();
+    found.nested = Tally::of(nested.into_iter().map(middle));
+    found.turned = Tally::of((0..turned.len()).filter(|c| turned[*c]).map(middle));
     turned
 }
 

@@ -254,6 +254,44 @@ fn reaction_on_a_cutting_blade_is_toughness_times_depth_against_its_motion() {
 }
 
 #[test]
+fn blade_that_follows_its_wound_has_no_reaction() {
+    let (mut authority, mut cutter) = Authority::new(model());
+    let RequestKind::Cut(cut) = stroke() else {
+        unreachable!()
+    };
+    let along = |authority: &mut Authority, at: i64| {
+        let follow = |point: &TimedBladePoint| {
+            let blade = palpate_tissue::BladePoint {
+                tip: point.blade.tip_m.into(),
+                axis: point.blade.axis.into(),
+                depth_m: point.blade.depth_m,
+            };
+            let order = Settling {
+                blades: vec![(ParticipantId(1), blade)],
+                ..settling(ms(at))
+            };
+            authority.settle(&order, &mut || false);
+            let reactions = authority.reactions();
+            reactions.iter().map(|r| r.force.norm()).sum::<f64>()
+        };
+        let forces: Vec<f64> = cut.points.iter().map(follow).collect();
+        // Without the turn back before it, and the last half cell of the wound.
+        forces[1..forces.len() - 2].iter().sum::<f64>()
+    };
+    let whole = along(&mut authority, 0);
+    let job = authority.job(&crate::CutOrder {
+        author: ParticipantId(1),
+        request: RequestId(1),
+        change: crate::RequestedChange::Cut(cut.clone()),
+    });
+    let made = cutter.make(&job).1;
+    authority.take_cut(made.unwrap().finish());
+    authority.apply(1, ms(100));
+    let parted = along(&mut authority, 100);
+    assert!(whole > 0.0 && parted == 0.0, "{parted} of {whole}");
+}
+
+#[test]
 fn settled_tick_reports_the_holders_of_needles_that_enter() {
     let (mut authority, _) = Authority::new(model());
     let mut holders = |height: f64| {

@@ -8,12 +8,15 @@
 //! ```
 //!
 //! The wound gapes behind the edge and, on a lattice, somewhat before it. A point between the two sides of a wound
-//! therefore counts as tissue.
+//! therefore counts as tissue. Parted tissue needs no work: a point of the edge feels nothing while it moves along a surface that
+//! a stroke has swept, and that continues ahead of it.
 
-use super::trilinear::invert;
-use super::{BladePoint, to_rest};
-use crate::cell::NO_CELL;
-use crate::{FaceId, Shape, Topology, Vec3};
+use super::BladePoint;
+use super::edge_search::{Search, Visit};
+use super::ribbon::Bounds;
+use super::stroke_tree::{REACH, SweptPart};
+use super::trilinear::{gradient, point};
+use crate::{CutHistory, Shape, Topology, Vec3};
 
 /// Length of a piece of the edge in which the tissue may change once, in spacings: half of the thinnest layer.
 const PIECE: f64 = 0.5;
@@ -21,14 +24,11 @@ const PIECE: f64 = 0.5;
 const PIECES_MAX: f64 = 64.0;
 /// Halvings of a piece of the edge in which the tissue changes: to a hundredth of it.
 const HALVINGS: usize = 6;
-/// Cells that a search expands without coming nearer to the point before it ends: all around a cell.
-const IN_VAIN_MAX: usize = 24;
-/// The same once the nearest cell is at the outer surface and the point beyond it.
-const IN_VAIN_OUTSIDE_MAX: usize = 6;
-/// How far outside a cell a point may be by rounding, in cells.
-const ROUNDING: f64 = 1e-9;
-/// Greatest distance of a point in a wound from either side, in cells. A wider wound holds no edge.
-const GAP_MAX: f64 = 0.5;
+/// Pieces of the edge in one box of the search for strokes: a leaning edge has few strokes in its boxes.
+const BOX: usize = 4;
+/// How far ahead of the edge a swept surface must continue, in spacings: shapes of hand and server differ by less, so the edge
+/// never runs after the end of its own stroke.
+const AHEAD: f64 = 0.5;
 
 /// Motion of the tip that determines the direction of an edge, m: twice that between two solves.
 const TURN_M: f64 = 0.3e-3;
@@ -67,41 +67,43 @@ pub struct EdgeResistance {
     pub ahead: Vec3,
 }
 
-/// The resistance against a blade in the deformed shape. `track` follows the edge from call to call.
+/// The resistance against a blade in the deformed shape, after the strokes of `history`. `track` follows the edge from call to
+/// call.
 pub fn edge_resistance(
     topology: &Topology,
     shape: &Shape,
+    history: &CutHistory,
     blade: &BladePoint,
     track: &mut EdgeTrack,
 ) -> EdgeResistance {
     track.follow(blade);
     let ahead = track.ahead.unwrap_or_default();
-    let mut search = Search {
-        topology,
-        shape,
-        cell: None,
-        has_guessed: false,
-        seen: Vec::new(),
-        open: Vec::new(),
-    };
-    let mut at = |along_m: f64| search.toughness(blade.tip + blade.axis * along_m, &mut track.near);
+    let mut search = Search::new(topology, shape);
+    let place = |along_m: f64| blade.tip + blade.axis * along_m;
+    let pieces = blade.depth_m / (PIECE * topology.model.spacing_m);
+    let pieces = pieces.ceil().clamp(1.0, PIECES_MAX) as usize;
+    let along_m = |i: usize| blade.depth_m * i as f64 / pieces as f64;
+    let ends: Vec<Option<Visit>> = (0..=pieces)
+        .map(|i| search.find(place(along_m(i)), &mut track.near))
+        .collect();
+    let tissue = EdgeTissue::around(topology, shape, history, [blade.axis, ahead], &ends);
     let (mut newtons, mut moment) = (0.0, 0.0);
     let mut add = |toughness: f64, from: f64, to: f64| {
         newtons += toughness * (to - from);
         moment += toughness * (to * to - from * from) / 2.0;
     };
-    let mut from = at(0.0);
-    let pieces = blade.depth_m / (PIECE * topology.model.spacing_m);
-    let pieces = pieces.ceil().clamp(1.0, PIECES_MAX) as usize;
+    let mut from = tissue.toughness(ends[0].as_ref());
     for i in 0..pieces {
-        let [begin, end] = [i, i + 1].map(|i| blade.depth_m * i as f64 / pieces as f64);
-        let to = at(end);
+        let [begin, end] = [i, i + 1].map(along_m);
+        let to = tissue.toughness(ends[i + 1].as_ref());
         let mut change = begin;
         if from != to {
             let mut step = end - begin;
+            search.cell = ends[i].map(|at| at.cell).or(search.cell);
             for _ in 0..HALVINGS {
                 step *= 0.5;
-                if at(change + step) == from {
+                let middle = search.find(place(change + step), &mut track.near);
+                if tissue.toughness(middle.as_ref()) == from {
                     change += step;
                 }
             }
@@ -117,124 +119,81 @@ pub fn edge_resistance(
     }
 }
 
-/// The search for the cells of the edge's points, each from that of the point before.
-struct Search<'a> {
+/// The tissue along the edge.
+struct EdgeTissue<'a> {
     topology: &'a Topology,
     shape: &'a Shape,
-    /// The cell of the latest point in the tissue.
-    cell: Option<u32>,
-    has_guessed: bool,
-    /// Cells of the search for the present point.
-    seen: Vec<u32>,
-    open: Vec<Visit>,
+    /// Directions in the deformed shape: along the edge, and in which it moves.
+    directions: [Vec3; 2],
+    /// Parts of strokes whose surfaces the edge may be on.
+    wounds: Vec<&'a SweptPart>,
 }
 
-impl Search<'_> {
-    /// Toughness at a point in J/m²; 0 outside the tissue.
-    fn toughness(&mut self, world: Vec3, near: &mut Option<u32>) -> f64 {
-        let cells = self.topology.cell_count();
-        let known = self.cell.or(*near).filter(|&c| (c as usize) < cells);
-        let mut end = known.and_then(|cell| self.cell_at(cell, &world));
-        // The edge may be far from where it was.
-        if end.is_none() && !self.has_guessed && self.cell.is_none() {
-            self.has_guessed = true;
-            let guess = to_rest(self.topology, self.shape, world);
-            end = guess.and_then(|guess| self.cell_at(guess.cell, &world));
-        }
-        if let Some(cell) = end {
-            self.cell = end;
-            *near = end;
-            return self
-                .topology
-                .model
-                .material_of(cell as usize)
-                .toughness_j_m2;
-        }
-        0.0
-    }
-
-    /// The cell that contains a point, or borders on the wound that does; searched from a cell on, those nearest to the
-    /// point first.
-    fn cell_at(&mut self, from: u32, world: &Vec3) -> Option<u32> {
-        let mut best = self.visit(from, world);
-        self.seen.clear();
-        self.open.clear();
-        self.seen.push(from);
-        self.open.push(best);
-        let mut in_vain = 0;
-        while best.outside > ROUNDING {
-            let is_outside = best
-                .beyond()
-                .any(|face| self.neighbours(best.cell)[face] == NO_CELL);
-            let limit = if is_outside {
-                IN_VAIN_OUTSIDE_MAX
-            } else {
-                IN_VAIN_MAX
-            };
-            if in_vain > limit {
-                break;
-            }
-            let nearest = (0..self.open.len())
-                .min_by(|&a, &b| self.open[a].outside.total_cmp(&self.open[b].outside));
-            let Some(nearest) = nearest else { break };
-            let visit = self.open.swap_remove(nearest);
-            in_vain += 1;
-            for next in self.neighbours(visit.cell) {
-                if next != NO_CELL && !self.seen.contains(&next) {
-                    let visit = self.visit(next, world);
-                    if visit.outside < best.outside {
-                        (best, in_vain) = (visit, 0);
-                    }
-                    self.seen.push(next);
-                    self.open.push(visit);
-                }
-            }
-        }
-        // A point outside of its nearest cell is in a wound if a cut has opened that side of the cell.
-        let is_open = |face: usize| {
-            let across = self.topology.across(FaceId::new(best.cell, face));
-            across == NO_CELL && self.neighbours(best.cell)[face] != NO_CELL
+impl<'a> EdgeTissue<'a> {
+    fn around(
+        topology: &'a Topology,
+        shape: &'a Shape,
+        history: &'a CutHistory,
+        directions: [Vec3; 2],
+        points: &[Option<Visit>],
+    ) -> Self {
+        let mut tissue = Self {
+            topology,
+            shape,
+            directions,
+            wounds: Vec::new(),
         };
-        let is_inside = best.outside <= GAP_MAX && best.beyond().all(is_open);
-        is_inside.then_some(best.cell)
-    }
-
-    /// The neighbours of a cell in the uncut tissue.
-    fn neighbours(&self, cell: u32) -> [u32; 6] {
-        self.topology.model.cells[cell as usize].neighbours
-    }
-
-    /// Where a point lies in a cell. Of a cell too distorted to tell, it is a cell away.
-    fn visit(&self, cell: u32, world: &Vec3) -> Visit {
-        let nodes = self.topology.corners(cell);
-        let deformed = nodes.map(|n| self.shape.position(self.topology, n));
-        let local = invert(&deformed, world).unwrap_or(Vec3::repeat(2.0));
-        let outside = local.map(|v| (v - 0.5).abs() - 0.5).max().max(0.0);
-        Visit {
-            cell,
-            local,
-            outside,
+        // An edge that has not moved is nowhere along a surface.
+        if directions[1] != Vec3::zeros() {
+            let reach_m = (REACH + AHEAD) * topology.model.spacing_m;
+            let last = points.len() - 1;
+            let boxes = (0..last).step_by(BOX).map(|i| {
+                let points = points[i..=(i + BOX).min(last)].iter().flatten();
+                Bounds::around(points.map(|at| tissue.rest(at))).grown(reach_m)
+            });
+            tissue.wounds = history.swept().near(&boxes.collect::<Vec<_>>());
         }
+        tissue
     }
-}
 
-/// A cell that was searched.
-#[derive(Debug, Clone, Copy)]
-struct Visit {
-    cell: u32,
-    /// The point in the coordinates of the cell.
-    local: Vec3,
-    /// Its distance from the cell, in cells.
-    outside: f64,
-}
+    /// Toughness at a point of the edge in J/m²; 0 outside the tissue and where it is parted.
+    fn toughness(&self, at: Option<&Visit>) -> f64 {
+        let Some(at) = at.filter(|at| !self.is_parted(at)) else {
+            return 0.0;
+        };
+        let material = self.topology.model.material_of(at.cell as usize);
+        material.toughness_j_m2
+    }
 
-impl Visit {
-    /// The faces that the point is beyond.
-    fn beyond(&self) -> impl Iterator<Item = usize> + '_ {
-        let beyond = |axis: &usize| (self.local[*axis] - 0.5).abs() > 0.5 + ROUNDING;
-        (0..3)
-            .filter(beyond)
-            .map(|axis| 2 * axis + usize::from(self.local[axis] > 0.5))
+    /// Whether the edge moves along a swept surface that continues ahead of it.
+    fn is_parted(&self, at: &Visit) -> bool {
+        if self.wounds.is_empty() {
+            return false;
+        }
+        let nodes = self.topology.corners(at.cell);
+        let deformed = nodes.map(|n| self.shape.position(self.topology, n));
+        let rest = nodes.map(|n| self.topology.rest(n));
+        let local = at.inside();
+        let Some(inverse) = gradient(&deformed, &local).try_inverse() else {
+            return false;
+        };
+        let to_rest = gradient(&rest, &local) * inverse;
+        let [along, ahead] = self.directions.map(|v| (to_rest * v).normalize());
+        let normal = along.cross(&ahead).normalize();
+        let spacing = self.topology.model.spacing_m;
+        let place = point(&rest, &local);
+        let is_swept = |place: &Vec3| {
+            let mut wounds = self.wounds.iter();
+            wounds.any(|wound| wound.is_along(place, &normal, spacing))
+        };
+        is_swept(&place) && is_swept(&(place + ahead * (AHEAD * spacing)))
+    }
+
+    /// The place of a point at rest.
+    fn rest(&self, at: &Visit) -> Vec3 {
+        let corners = self.topology.corners(at.cell);
+        let corners = corners.map(|n| self.topology.rest(n));
+        point(&corners, &at.inside())
     }
 }
 
@@ -245,7 +204,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{CutStroke, Material, Model, block, cut};
+    use crate::cell::NO_CELL;
+    use crate::{CutStroke, Material, Model, StrokePart, block, cut};
 
     /// A block of 40 x 40 x 32 mm whose upper half is `tough`.
     fn layered(tough: f64) -> Topology {
@@ -257,8 +217,13 @@ mod tests {
         Topology::new(Arc::new(model))
     }
 
+    fn without_strokes(topology: &Topology) -> CutHistory {
+        CutHistory::new(Arc::new(topology.clone()))
+    }
+
     fn total(topology: &Topology, shape: &Shape, blade: &BladePoint) -> (f64, f64) {
-        let edge = edge_resistance(topology, shape, blade, &mut EdgeTrack::default());
+        let (history, track) = (without_strokes(topology), &mut EdgeTrack::default());
+        let edge = edge_resistance(topology, shape, &history, blade, track);
         (edge.newtons, edge.newtons * edge.along_m)
     }
 
@@ -281,6 +246,150 @@ mod tests {
             let off = 1_000.0 * 2e-3 / 128.0;
             prop_assert!((newtons - force).abs() < 2.0 * off, "{newtons} {force}");
             prop_assert!((about_tip - moment).abs() < 2.0 * off * length, "{about_tip} {moment}");
+        }
+    }
+
+    /// A block with strokes, in a shape.
+    struct Wounded {
+        topology: Arc<Topology>,
+        history: CutHistory,
+        /// Nodes at wounds.
+        parted: Vec<u32>,
+        bend: Bend,
+    }
+
+    /// A deformation: shear and stretch, a bow, and the width of wounds along x, m.
+    #[derive(Debug, Clone, Copy)]
+    struct Bend {
+        shear: f64,
+        stretch: f64,
+        bow_m: f64,
+        gap_m: f64,
+    }
+
+    impl Bend {
+        fn at(&self, p: &Vec3) -> Vec3 {
+            let bow = self.bow_m * (p.z / 16e-3 - 1.0).powi(2);
+            let along = self.stretch * p.y + self.shear * p.z;
+            Vec3::new(p.x + self.shear * p.y + bow, along, p.z - self.shear * p.x)
+        }
+
+        /// A blade that is upright in the tissue at rest.
+        fn blade(&self, tip: &Vec3) -> BladePoint {
+            let [tip, top] = [*tip, tip + Vec3::z() * 40e-3].map(|p| self.at(&p));
+            BladePoint {
+                tip,
+                axis: (top - tip).normalize(),
+                depth_m: (top - tip).norm(),
+            }
+        }
+    }
+
+    impl Wounded {
+        fn new(bend: Bend) -> Self {
+            let topology = Arc::new(layered(100.0));
+            Self {
+                history: CutHistory::new(Arc::clone(&topology)),
+                topology,
+                parted: Vec::new(),
+                bend,
+            }
+        }
+
+        /// Cuts along x = `x` from one y to another, in three parts.
+        fn cut(&mut self, x: f64, z: f64, [from, to]: [f64; 2]) {
+            let blade = |y: f64| BladePoint {
+                tip: Vec3::new(x, y, z),
+                axis: Vec3::z(),
+                depth_m: 40e-3,
+            };
+            let at = |i: i32| blade(from + (to - from) * f64::from(i) / 12.0);
+            for k in [0, 4, 8] {
+                let path = CutStroke {
+                    points: (k + i32::from(k > 0)..=k + 4).map(at).collect(),
+                    width_m: 0.5e-3,
+                };
+                let part = StrokePart {
+                    path,
+                    stroke: Some(1),
+                    joins: k > 0,
+                };
+                let outcome = self.history.cut(&mut self.topology, part).unwrap();
+                let nodes = outcome.doubled.iter().flat_map(|d| [d.0, d.1]);
+                self.parted.extend(nodes);
+            }
+        }
+
+        fn shape(&self) -> Shape {
+            let mut shape = Shape::rest(&self.topology);
+            for (node, u) in (0..).zip(&mut shape.displacement) {
+                let rest = self.topology.rest(node);
+                *u = self.bend.at(&rest) - rest;
+                if self.parted.contains(&node) {
+                    let cells = self.topology.cells_around(node).into_iter();
+                    let cells = cells.filter(|&c| c != NO_CELL);
+                    let side: f64 = cells.map(|c| self.topology.centre(c).x - rest.x).sum();
+                    u.x += 0.5 * self.bend.gap_m * side.signum();
+                }
+            }
+            shape
+        }
+
+        /// Work of an edge along a straight path at rest, as the deformation moves it, J.
+        fn work(&self, [from, to]: [Vec3; 2]) -> f64 {
+            let (shape, mut track) = (self.shape(), EdgeTrack::default());
+            let steps = ((to - from).norm() / 0.4e-3).ceil();
+            let newtons = (0..steps as usize).map(|i| {
+                let blade = self.bend.blade(&from.lerp(&to, i as f64 / steps));
+                let (topology, history) = (&self.topology, &self.history);
+                edge_resistance(topology, &shape, history, &blade, &mut track).newtons
+            });
+            newtons.sum::<f64>() * (to - from).norm() / steps
+        }
+    }
+
+    prop_compose! {
+        fn bend()(shear in -0.2..0.2f64, stretch in 0.8..1.2f64, bow_m in -1e-3..1e-3f64, gap_m in 0.0..1.5e-3f64) -> Bend {
+            Bend { shear, stretch, bow_m, gap_m }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(12))]
+        #[test]
+        fn work_is_that_of_the_tissue_that_is_not_parted_yet(
+            bend in bend(), x in 14e-3..26e-3f64, z in 10e-3..20e-3f64, end in 16e-3..30e-3f64,
+        ) {
+            const OUTSIDE: [f64; 2] = [-2e-3, 42e-3];
+            let place = |x: f64, y: f64, z: f64| Vec3::new(x, y, z);
+            let path = |x: f64, z: f64| OUTSIDE.map(|y| place(x, y, z));
+            let (uncut, mut half, mut whole) = (Wounded::new(bend), Wounded::new(bend), Wounded::new(bend));
+            half.cut(x, z, [OUTSIDE[0], end]);
+            whole.cut(x, z, OUTSIDE);
+            let first = uncut.work(path(x, z));
+            let is_near = |a: f64, b: f64| (a - b).abs() < 0.05 * first;
+            for backwards in [false, true] {
+                let mut path = path(x, z);
+                if backwards { path.reverse(); }
+                let again = whole.work(path);
+                prop_assert!(again < 0.05 * first, "{again} of {first}");
+            }
+            // The last half spacing of a wound counts as tissue.
+            let (on, rest) = (half.work(path(x, z)), uncut.work([place(x, end - 2e-3, z), place(x, OUTSIDE[1], z)]));
+            prop_assert!(is_near(on, rest), "{on} instead of {rest} of {first}");
+            let (deeper, below) = (path(x, z - 6e-3), 100.0 * 6e-3 * 40e-3);
+            let deeper = whole.work(deeper);
+            prop_assert!((deeper - below).abs() < 0.05 * first + 0.2 * below, "{deeper} instead of {below}");
+            for beside in [x - 4.5e-3, x + 4.5e-3] {
+                let (beside, all) = (whole.work(path(beside, z)), uncut.work(path(beside, z)));
+                prop_assert!(is_near(beside, all), "beside: {beside} instead of {all}");
+            }
+            let across = [-2e-3, 42e-3].map(|x| place(x, end, z));
+            let (crossing, all) = (whole.work(across), uncut.work(across));
+            prop_assert!(is_near(crossing, all), "across: {crossing} instead of {all}");
+            whole.parted.clear();
+            whole.history.undo(&mut whole.topology).unwrap();
+            prop_assert_eq!(whole.work(path(x, z)), first);
         }
     }
 
@@ -362,8 +471,9 @@ mod tests {
                 last = None;
                 cut(&mut topology, &stroke).unwrap();
             }
-            let shape = Shape::rest(&topology);
-            let force = edge_resistance(&topology, &shape, &point(y), &mut track).newtons;
+            let (shape, history) = (Shape::rest(&topology), without_strokes(&topology));
+            let edge = edge_resistance(&topology, &shape, &history, &point(y), &mut track);
+            let force = edge.newtons;
             if let Some(last) = last {
                 assert!((force - last).abs() < 0.3, "at {y}: {last} {force}");
             }

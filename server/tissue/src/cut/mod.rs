@@ -21,7 +21,8 @@
 //! patch.rs       nodes around a sheet     width.rs          the width of a wound
 //! freedom.rs     directions of a node     follow.rs         deformed shapes after a cut
 //! interface.rs   interfaces as built      swept_surface.rs  distances from it
-//! edge.rs        resistance along the edge
+//! edge.rs        resistance of an edge    edge_search.rs    cells along an edge
+//! stroke_tree.rs the surfaces of strokes
 //! ```
 //!
 //! Everything runs in one order that depends on the topology and the stroke alone: the same strokes
@@ -32,6 +33,7 @@ mod cell_fans;
 mod cell_index;
 mod components;
 mod edge;
+mod edge_search;
 mod follow;
 mod freedom;
 mod interface;
@@ -45,6 +47,7 @@ mod sheet_snap;
 mod soundness;
 mod stroke;
 mod stroke_part;
+mod stroke_tree;
 mod swept_surface;
 mod to_rest;
 pub(crate) mod trilinear;
@@ -61,6 +64,7 @@ pub use stroke::{
     WOUND_WIDTH_MAX_M,
 };
 pub use stroke_part::StrokePart;
+pub(crate) use stroke_tree::StrokeTree;
 pub use swept_surface::SweptSurface;
 pub use to_rest::{RestPoint, to_rest};
 pub use width::REST_WIDTH_MAX;

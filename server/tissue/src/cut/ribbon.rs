@@ -49,6 +49,12 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
+    /// A box around nothing.
+    pub(crate) const EMPTY: Self = Self {
+        low: Vec3::new(f64::INFINITY, f64::INFINITY, f64::INFINITY),
+        high: Vec3::new(f64::NEG_INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY),
+    };
+
     fn of([a, b, c]: &[Vec3; 3]) -> Self {
         Self {
             low: a.inf(b).inf(c),
@@ -56,11 +62,30 @@ impl Bounds {
         }
     }
 
-    fn with(&self, other: &Self) -> Self {
+    /// The box around points.
+    pub(crate) fn around(points: impl Iterator<Item = Vec3>) -> Self {
+        points.fold(Self::EMPTY, |all, p| Self {
+            low: all.low.inf(&p),
+            high: all.high.sup(&p),
+        })
+    }
+
+    pub(crate) fn with(&self, other: &Self) -> Self {
         Self {
             low: self.low.inf(&other.low),
             high: self.high.sup(&other.high),
         }
+    }
+
+    pub(crate) fn grown(&self, by: f64) -> Self {
+        Self {
+            low: self.low.add_scalar(-by),
+            high: self.high.add_scalar(by),
+        }
+    }
+
+    pub(crate) fn overlaps(&self, other: &Self) -> bool {
+        (0..3).all(|a| self.low[a] <= other.high[a] && other.low[a] <= self.high[a])
     }
 
     /// Squared distance of a point from the box.
@@ -76,6 +101,36 @@ impl Bounds {
 }
 
 impl Triangle {
+    /// The two triangles between two places of a blade, without degenerate ones.
+    pub(crate) fn swept([from, to]: [&BladePoint; 2], spacing: f64) -> impl Iterator<Item = Self> {
+        let columns = [from, to].map(BladePoint::ends);
+        Self::between(columns, 0, 0, spacing)
+    }
+
+    /// The two triangles between two columns, without degenerate ones. `id` is the number of the first point.
+    fn between(
+        [[a, b], [c, d]]: [[Vec3; 2]; 2],
+        id: u32,
+        step: usize,
+        spacing: f64,
+    ) -> impl Iterator<Item = Self> {
+        let triangles = [
+            ([a, c, d], [id, id + 2, id + 3]),
+            ([a, d, b], [id, id + 3, id + 1]),
+        ];
+        triangles.into_iter().filter_map(move |(points, ids)| {
+            let normal = (points[1] - points[0]).cross(&(points[2] - points[0]));
+            let size = normal.norm();
+            (size > 1e-9 * spacing * spacing).then(|| Self {
+                bounds: Bounds::of(&points),
+                points,
+                ids,
+                normal: normal / size,
+                step,
+            })
+        })
+    }
+
     /// Whether a segment crosses it; see the file's head.
     fn crosses(&self, p: &Vec3, q: &Vec3) -> bool {
         if self.bounds.is_apart(p, q) {
@@ -121,6 +176,11 @@ impl Triangle {
         })
     }
 
+    /// Distance of a point's foot in its plane from the triangle itself.
+    pub(crate) fn beside(&self, p: &Vec3) -> f64 {
+        (p - self.nearest(p) - self.normal * self.height(p)).norm()
+    }
+
     /// The nearest point of it, by the region of the plane that the point's foot falls into.
     fn nearest(&self, p: &Vec3) -> Vec3 {
         let corners = &self.points;
@@ -158,7 +218,7 @@ pub(crate) struct Ribbon {
 
 impl Ribbon {
     pub(crate) fn swept(points: &[BladePoint], spacing: f64) -> Self {
-        let columns: Vec<[Vec3; 2]> = points.iter().map(|p| [p.tip, p.top()]).collect();
+        let columns: Vec<[Vec3; 2]> = points.iter().map(BladePoint::ends).collect();
         Self::between(&columns, spacing, 0)
     }
 
@@ -182,24 +242,9 @@ impl Ribbon {
         let steps = columns.len() - 1 - 2 * ahead;
         let mut triangles = Vec::with_capacity(2 * columns.len());
         for (index, pair) in columns.windows(2).enumerate() {
-            let id = 2 * index as u32;
-            let [[a, b], [c, d]] = [pair[0], pair[1]];
-            for (points, ids) in [
-                ([a, c, d], [id, id + 2, id + 3]),
-                ([a, d, b], [id, id + 3, id + 1]),
-            ] {
-                let normal = (points[1] - points[0]).cross(&(points[2] - points[0]));
-                let size = normal.norm();
-                if size > 1e-9 * spacing * spacing {
-                    triangles.push(Triangle {
-                        bounds: Bounds::of(&points),
-                        points,
-                        ids,
-                        normal: normal / size,
-                        step: index.saturating_sub(ahead).min(steps - 1),
-                    });
-                }
-            }
+            let step = index.saturating_sub(ahead).min(steps - 1);
+            let pair = [pair[0], pair[1]];
+            triangles.extend(Triangle::between(pair, 2 * index as u32, step, spacing));
         }
         let mut ribbon = Self {
             triangles,

@@ -32,6 +32,11 @@ impl BladePoint {
         self.tip + self.axis * self.depth_m
     }
 
+    /// Tip and top.
+    pub(crate) fn ends(&self) -> [Vec3; 2] {
+        [self.tip, self.top()]
+    }
+
     /// The same blade mapped from the deformed shape to the rest frame, by the local gradient of
     /// the deformation at its tip; `None` when the tip is not in the tissue or close to it.
     pub fn to_rest(&self, topology: &Topology, shape: &Shape) -> Option<Self> {

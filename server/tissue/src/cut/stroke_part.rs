@@ -35,6 +35,13 @@ impl StrokePart {
         self.stroke.is_some() && self.stroke == other.stroke
     }
 
+    /// The blade at the end of the parts before it, from where it moved on; `None` for the first part.
+    pub(crate) fn joint(&self, before: &[Arc<Self>]) -> Option<BladePoint> {
+        let mut earlier = before.iter().rev().filter(|part| part.is_of_stroke(self));
+        let last = self.joins.then(|| earlier.next())??;
+        last.path.points.last().copied()
+    }
+
     /// The path to cut: with the end of the parts before it, oldest first.
     pub(crate) fn with_overlap(&self, before: &[Arc<Self>], spacing: f64) -> CutStroke {
         let mut points: Vec<BladePoint> = self.path.points.iter().rev().copied().collect();

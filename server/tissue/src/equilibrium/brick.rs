@@ -251,7 +251,7 @@ impl Draft {
             let det = rest_determinant(&corners);
             if elastic.bulk_pa > 0.0 && det > 0.0 {
                 bulk[position] = (elastic.bulk_pa * topology.volume(cell)) as f32;
-                per_volume[position] = (1.0 / det) as f32;
+                per_volume[position] = (1.0 / det.max(LENGTH_FLOOR * spacing.powi(3))) as f32;
             }
         }
         let mut stiffness = Aligned([[0.0; SPAN]; DIRECTIONS]);

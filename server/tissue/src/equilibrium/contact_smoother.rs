@@ -74,7 +74,7 @@ impl FineLevel {
         smoother.gather(hierarchy, self, contacts);
         // The diagonal blocks are those of the last smoothing, after the correction. Older blocks made the iteration
         // diverge where tissue had stiffened.
-        let mut factors = Self::smoothing();
+        let mut factors = hierarchy.smoothing.factors();
         for _ in 0..steps {
             self.compute(hierarchy, u, &smoother.bricks.items);
             for &node in &smoother.nodes {

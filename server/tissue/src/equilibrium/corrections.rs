@@ -1,7 +1,7 @@
 //! Moves of the fine level's nodes: coarse corrections, smoothing and the warm start.
 
 use super::coarse_level::apply;
-use super::cycle::{Chebyshev, LOW, Multigrid};
+use super::cycle::{Chebyshev, Multigrid};
 use super::fine_level::{FineLevel, SetChange};
 use super::hierarchy::Hierarchy;
 use super::quad::{ZERO, plus};
@@ -247,10 +247,5 @@ impl FineLevel {
     pub(super) fn update_allowance(&mut self, hierarchy: &Hierarchy) {
         let moved = std::mem::take(&mut self.longest_move) as f32 * hierarchy.per_spacing;
         self.allowance = moved.max(self.allowance * CALMING).min(MARGIN);
-    }
-
-    /// Chebyshev factors for the fine level.
-    pub(super) fn smoothing() -> Chebyshev {
-        Chebyshev::new(LOW)
     }
 }

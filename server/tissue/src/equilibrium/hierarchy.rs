@@ -16,6 +16,7 @@ use super::element::Matrix;
 use super::kinds::{Kinds, Parts};
 use super::prolongation::{FREE, Prolongation};
 use super::quad::reserve;
+use super::smoothing::Smoothing;
 use crate::cell::NO_CELL;
 use crate::{FaceId, Rows, Topology, Vec3};
 
@@ -95,6 +96,8 @@ pub(crate) struct Hierarchy {
     pub(super) nodes_of: Table,
     pub(super) levels: Vec<Level>,
     pub(super) per_spacing: f32,
+    /// Smoothing of the nodes.
+    pub(super) smoothing: Smoothing,
     /// Whether any tissue bottoms out.
     pub(super) bottoms_out: bool,
 }
@@ -172,6 +175,7 @@ impl Hierarchy {
             prolongation,
             levels: Vec::new(),
             per_spacing: (1.0 / topology.model().spacing_m) as f32,
+            smoothing: Smoothing::of(topology.model()),
             bottoms_out: topology
                 .model()
                 .regions

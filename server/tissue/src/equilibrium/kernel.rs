@@ -6,7 +6,7 @@ use std::ops::{Deref, DerefMut};
 
 use pulp::{Simd, WithSimd};
 
-use super::brick::{Brick, CORNER, DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN};
+use super::brick::{Brick, CORNER, DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN, mean_edges};
 use super::corners::{corner_forces, corner_tangents};
 use super::lanes::{LANES, V};
 use super::law::{EXTREME, GUARD, GUARDED, LONG, SHORT, SIDEWAYS};
@@ -86,7 +86,8 @@ impl WithSimd for Forces<'_> {
             None => spring_forces(simd, self.form, &local, self.scratch),
         };
         if self.form.has_bulk {
-            bulk_forces(simd, self.form, &local, &mut f);
+            let changes = volume_changes(self.brick, self.form, self.u);
+            bulk_forces(simd, self.form, &local, &changes, &mut f);
         }
         for (to, f) in self.to.iter_mut().zip(&*f) {
             to.copy_from_slice(&f[..LOCALS]);
@@ -422,9 +423,9 @@ fn edges<S: Simd>(simd: S, of: &Local, from: usize) -> [[V<S>; 3]; 3] {
     ]
 }
 
-/// J - 1 of the cells from `from` on, and (b×c, c×a, a×b)/det0, the parts of its gradient.
+/// (b×c, c×a, a×b)/det0 of the cells from `from` on: the parts of the gradient of J.
 #[inline(always)]
-fn dilation<S: Simd>(simd: S, form: &Form, u: &Local, from: usize) -> (V<S>, [[V<S>; 3]; 3]) {
+fn normals<S: Simd>(simd: S, form: &Form, u: &Local, from: usize) -> [[V<S>; 3]; 3] {
     let rest = edges(simd, &form.rest, from);
     let by = edges(simd, u, from);
     let sum = |e: usize| {
@@ -437,24 +438,41 @@ fn dilation<S: Simd>(simd: S, form: &Form, u: &Local, from: usize) -> (V<S>, [[V
     let now = [sum(0), sum(1), sum(2)];
     let scale = V::load(simd, &form.per_volume, from);
     let scaled = |n: [V<S>; 3]| [n[0] * scale, n[1] * scale, n[2] * scale];
-    let normals = [
+    [
         scaled(cross(&now[1], &now[2])),
         scaled(cross(&now[2], &now[0])),
         scaled(cross(&now[0], &now[1])),
-    ];
-    // det(now) - det(rest), term by term, so that a small change keeps its digits.
-    let change = dot(&by[0], &normals[0])
-        + dot(&rest[0], &scaled(cross(&by[1], &now[2])))
-        + dot(&rest[0], &scaled(cross(&rest[1], &by[2])));
-    (change, normals)
+    ]
+}
+
+/// J - 1 of each cell. Strains nearly cancel in it and a large κ multiplies it, so differences of displacements are taken
+/// in f64: in f32 residuals ended at 2e-6.
+#[inline(always)]
+fn volume_changes(brick: &Brick, form: &Form, u: &[Vec3]) -> [f32; LANES] {
+    let at = |i: usize| form.rest.each_ref().map(|row| f64::from(row[i]));
+    let mut changes = [0.0; LANES];
+    for (l, corners) in CORNER.iter().enumerate() {
+        if form.bulk[l] > 0.0 {
+            let rest = mean_edges(&corners.map(|i| Vec3::from(at(i))));
+            let by = mean_edges(&corners.map(|i| u[brick.nodes[i] as usize]));
+            let now = [1, 2].map(|e| rest[e] + by[e]);
+            // det(now) - det(rest), term by term, so that a small change keeps its digits.
+            let change = by[0].dot(&now[0].cross(&now[1]))
+                + rest[0].dot(&by[1].cross(&now[1]))
+                + rest[0].dot(&rest[1].cross(&by[2]));
+            changes[l] = (change * f64::from(form.per_volume[l])) as f32;
+        }
+    }
+    changes
 }
 
 #[inline(always)]
-fn bulk_forces<S: Simd>(simd: S, form: &Form, u: &Local, f: &mut Local) {
+fn bulk_forces<S: Simd>(simd: S, form: &Form, u: &Local, changes: &[f32; LANES], f: &mut Local) {
     let mut push = [[[0.0; LANES]; 3]; 3];
     let mut from = 0;
     while from < CELLS {
-        let (change, normals) = dilation(simd, form, u, from);
+        let normals = normals(simd, form, u, from);
+        let change = V::load(simd, changes, from);
         let pressure = V::load(simd, &form.bulk, from) * change * V::all(simd, 0.25);
         for (axis, normal) in normals.into_iter().enumerate() {
             for a in 0..3 {
@@ -485,7 +503,7 @@ fn bulk_tangents<S: Simd>(simd: S, form: &Form, u: &Local, m: &mut LocalBlocks) 
     let mut gradient = [[[0.0; LANES]; 3]; 3];
     let mut from = 0;
     while from < CELLS {
-        let (_, normals) = dilation(simd, form, u, from);
+        let normals = normals(simd, form, u, from);
         for (axis, normal) in normals.into_iter().enumerate() {
             for a in 0..3 {
                 normal[a].store(&mut gradient[axis][a], from);

@@ -16,6 +16,9 @@
 //! Springs alone are a material of Poisson's ratio 1/4. Beside them stands, per cell, the energy
 //! ½ κ V0 (J - 1)² with J the determinant of the cell's mean edges over that at rest. With
 //! μ = E/(2(1+ν)) and λ = Eν/((1+ν)(1-2ν)) the springs carry μ (C12 = C44 = μ) and κ = λ - μ the rest.
+//! J - 1 is the change of the determinant over that at rest, or over [`LENGTH_FLOOR`](crate::springs::LENGTH_FLOOR) of a
+//! cube's for flatter cells. Otherwise the volume term of a flat cell stiffens while its springs soften, and the smoother,
+//! whose blocks bound that stiffness, hardly moves nodes that belong to this cell alone.
 //!
 //! # The guard
 //!
@@ -152,6 +155,11 @@ impl Elastic {
             fibre,
             fibre_strength,
         }
+    }
+
+    /// μ in Pa.
+    pub(crate) fn shear_pa(&self) -> f64 {
+        self.spring_pa / 2.5
     }
 
     /// Whether the stiffness of springs depends on their directions.

@@ -10,7 +10,7 @@
 //! | `coarse_level`, `cycle`, `outer_residual` | active part of a level, V-cycle, forces outside the active part |
 //! | `contact_stiffness`, `coarse_stiffening` | contacts, held nodes and hardened tissue on the coarse levels |
 //! | `fine_level`, `active_set`, `corrections` | forces on nodes, refinement, coarse corrections |
-//! | `jacobi_blocks`, `contact_smoother` | block Jacobi preconditioner, additional smoothing at contacts |
+//! | `jacobi_blocks`, `smoothing`, `contact_smoother` | block Jacobi preconditioner, Chebyshev steps on nodes and at contacts |
 //! | `budget`, `work_limit` | limits and report of a step; bound on active nodes |
 //! | `reference_state`, `weight` | equilibrium without tools; gravity |
 //! | `warm_start` | extrapolation of the last step under tools |
@@ -36,7 +36,7 @@
 //! # Limits
 //!
 //! Coarse operators follow hardening but not rotation. Tissue without `bottoms_out` folds from 30 % of a layer's thickness
-//! on. Nearly incompressible materials (Poisson's ratio 0.45) converge slowly. A point tool (radius below half a spacing) feels the corners of the mesh, and slips between
+//! on. A Poisson's ratio of 0.45 takes twice the iterations of springs alone, 0.49 ten times. A point tool (radius below half a spacing) feels the corners of the mesh, and slips between
 //! the samples of a soft surface when it is pressed deeper than its own radius.
 
 // SIMD code must be inlined into the dispatched function.
@@ -84,6 +84,7 @@ mod rigid_aggregation;
 mod settling;
 mod sizes;
 mod small_strain;
+mod smoothing;
 mod solver;
 mod stabilisation;
 mod warm_start;

@@ -19,8 +19,6 @@ use super::work_limit::WorkLimit;
 use crate::contact::{Contacts, Tool};
 use crate::{Shape, Topology, Vec3};
 
-/// Chebyshev steps on the nodes after each coarse correction.
-const SMOOTHING: usize = 3;
 /// V-cycle parameters of a full solve and of a quick step, which converges faster with many cheap cycles.
 const EFFORT: [Effort; 2] = [
     Effort {
@@ -535,8 +533,8 @@ impl Solver {
         // through.
         let (hierarchy, contacts) = (&self.hierarchy, &self.contacts);
         self.fine.update_blocks(hierarchy, u, contacts);
-        let mut factors = FineLevel::smoothing();
-        for s in 0..SMOOTHING {
+        let mut factors = self.hierarchy.smoothing.factors();
+        for s in 0..self.hierarchy.smoothing.steps {
             if s > 0 {
                 self.fine.evaluate_bricks(&self.hierarchy, u);
                 self.fine.add_contacts_and_blocks(u, &self.contacts);

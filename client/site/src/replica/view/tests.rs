@@ -1,4 +1,4 @@
-use palpate_protocol::tool::ToolDescription;
+use palpate_protocol::tool::{ToolDescription, part_owner};
 use palpate_protocol::{ParticipantId, ServerTime};
 use palpate_tissue::{Budget, Vec3};
 
@@ -79,4 +79,31 @@ fn corrections_shrink_and_report_a_difference() {
         ..Corrections::default()
     };
     assert_eq!(client.correct(&other_version), None);
+}
+
+#[test]
+fn reactions_include_the_resistance_against_cutting_blades() {
+    let mut view = view();
+    let toughness = view.tissue.model().regions[1].material.toughness_j_m2;
+    let blade = |x: f64| ToolAt {
+        description: ToolDescription::scalpel(1e-3, 0.02),
+        buttons: 1,
+        ..tool(2, x, 6e-3 + 2.0 * CELL)
+    };
+    let mut reactions = Vec::new();
+    for (k, x) in [4.0, 4.2].into_iter().enumerate() {
+        let tools = [tool(1, 7.0 * CELL, 3e-3), blade(x * CELL)];
+        view.step(at(k as i64), &tools, thorough());
+        reactions = view.reactions(&tools);
+    }
+    let [pressed, cut] = &reactions[..] else {
+        panic!("{reactions:?}")
+    };
+    assert_eq!([pressed, cut].map(|r| part_owner(r.tool).0), [1, 2]);
+    let expected = Vec3::x() * (-2.0 * CELL * toughness);
+    assert!(
+        (cut.force - expected).norm() < 0.1 * expected.norm(),
+        "{}",
+        cut.force
+    );
 }

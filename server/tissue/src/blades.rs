@@ -3,40 +3,45 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, UnitQuaternion};
-use palpate_protocol::ParticipantId;
-use palpate_protocol::tool::part_id;
-use palpate_tissue::{
+
+use crate::{
     BladePoint, ContactPatch, EdgeResistance, EdgeTrack, Reaction, Tissue, Vec3, edge_resistance,
 };
 
-/// The blades that cut.
+/// The blades that cut, by tool.
 #[derive(Debug, Default)]
-pub(crate) struct Blades {
-    tracks: BTreeMap<ParticipantId, EdgeTrack>,
-    pub(crate) reactions: Vec<Reaction>,
+pub struct Blades {
+    tracks: BTreeMap<u32, EdgeTrack>,
+    reactions: Vec<Reaction>,
 }
 
 impl Blades {
     /// Follows the blades to their places in the newest shape.
-    pub(crate) fn follow(&mut self, blades: &[(ParticipantId, BladePoint)], tissue: &Tissue) {
-        (self.tracks).retain(|who, _| blades.iter().any(|(holder, _)| holder == who));
+    pub fn follow(&mut self, blades: &[(u32, BladePoint)], tissue: &Tissue) {
+        (self.tracks).retain(|tool, _| blades.iter().any(|(cutting, _)| cutting == tool));
         self.reactions.clear();
-        for (who, blade) in blades {
-            let track = self.tracks.entry(*who).or_default();
-            let edge = edge_resistance(tissue.topology(), tissue.shape(), blade, track);
+        for (tool, blade) in blades {
+            let track = self.tracks.entry(*tool).or_default();
+            let history = tissue.history();
+            let edge = edge_resistance(tissue.topology(), tissue.shape(), history, blade, track);
             if edge.newtons > 0.0 && edge.ahead != Vec3::zeros() {
-                self.reactions.push(reaction(*who, blade, &edge));
+                self.reactions.push(reaction(*tool, blade, &edge));
             }
         }
+    }
+
+    /// The resistance against each blade that moves.
+    pub fn reactions(&self) -> &[Reaction] {
+        &self.reactions
     }
 }
 
 /// The resistance against the motion of a blade.
-fn reaction(who: ParticipantId, blade: &BladePoint, edge: &EdgeResistance) -> Reaction {
+fn reaction(tool: u32, blade: &BladePoint, edge: &EdgeResistance) -> Reaction {
     let force = edge.ahead * -edge.newtons;
     let lever = blade.axis * edge.along_m;
     Reaction {
-        tool: part_id(who, 0),
+        tool,
         force,
         torque: lever.cross(&force),
         stiffness: Matrix3::zeros(),
