@@ -193,7 +193,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever was added and removed before, and copies stay as they were.
+        /// After any additions and removals; copies of the tree stay as they were.
         #[test]
         fn tree_finds_the_parts_in_boxes(
             steps in prop::collection::vec((prop::array::uniform2(0.0..10.0f64), 0_u64..3, any::<bool>(), 0_usize..8), 1..80),
