@@ -16,7 +16,7 @@ pub(super) const SAMPLE_PERIOD: Span = Span::from_millis(8);
 /// A page that sends no pose for this long has let go of its tool. Pages send 30 per second at rest.
 const SILENCE_MAX: Span = Span::from_millis(1500);
 
-/// A page that comes back this near still has its tool: the way of the hand in a moment without the pointer.
+/// A page that comes back within this distance and angle keeps its tool: its pointer left the view for a moment.
 const NEAR_M: f64 = 5e-3;
 const NEAR_RAD: f64 = 0.1;
 

@@ -25,6 +25,8 @@ impl CuttingForce {
     /// Adds the resistance of the tissue against a tool that cuts to the model of its contacts.
     pub(super) fn add_to(&mut self, model: &mut ContactModel, tissue: &Tissue, tool: &ToolAt) {
         let Some(blade) = tool.edge() else {
+            // The next cut begins elsewhere, in another direction.
+            self.track = EdgeTrack::default();
             return;
         };
         let (topology, shape, history) = (tissue.topology(), tissue.shape(), tissue.history());

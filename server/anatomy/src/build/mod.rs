@@ -322,7 +322,8 @@ fn position_nodes(
     progress("restoring volumes", 0.7);
     volume_correction::restore_volumes(&untangler, faces, input.volumes, &mut positions);
     let parted = parting::part_crossings(&untangler, faces, &mut positions);
-    let_go.extend(parted.moved);
+    let off = |node: &u32| !constraints[*node as usize].free();
+    let_go.extend(parted.moved.into_iter().filter(off));
     let_go.sort_unstable();
     let_go.dedup();
     let around = untangler.into_around();

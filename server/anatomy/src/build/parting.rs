@@ -53,6 +53,7 @@ pub(super) fn part_crossings(
         for _ in 0..round / ROUNDS_PER_RING {
             nodes = untangler.with_neighbours(&nodes);
         }
+        nodes.retain(|node| !beside_gap(*node));
         let from: Vec<Vec3> = nodes.iter().map(|n| positions[*n as usize]).collect();
         let ways = nodes.iter().zip(&from);
         let ways: Vec<(u32, Vec3)> = ways

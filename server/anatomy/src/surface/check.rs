@@ -161,7 +161,7 @@ impl Surface {
         dropped
     }
 
-    /// Number of triangles without area though their corners differ. Dropping one would tear the surface along
+    /// The triangles without area though their corners differ. Dropping one would tear the surface along
     /// its long edge, so they stay: they enclose nothing and hide nothing.
     fn needles(&self) -> Tally {
         let flat = (0..self.triangles.len()).filter(|&t| {

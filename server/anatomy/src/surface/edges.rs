@@ -74,7 +74,7 @@ pub(crate) struct Tally {
 }
 
 impl Tally {
-    /// Adds the places of faults.
+    /// Counts places of faults.
     pub(crate) fn of(places: impl IntoIterator<Item = Vec3>) -> Self {
         let mut places = places.into_iter();
         let first = places.next();

@@ -93,6 +93,10 @@ impl SweptPart {
         }
         let mut steps = self.points().zip(self.points().skip(1));
         steps.any(|(from, to)| {
+            let ends = [from, to].into_iter().flat_map(BladePoint::ends);
+            if !Bounds::around(ends).overlaps(&near) {
+                return false;
+            }
             let mut triangles = Triangle::swept([from, to], spacing);
             triangles.any(|triangle| {
                 triangle.normal.dot(normal).abs() >= ALONG

@@ -446,7 +446,7 @@ fn normals<S: Simd>(simd: S, form: &Form, u: &Local, from: usize) -> [[V<S>; 3];
 }
 
 /// J - 1 of each cell. Strains nearly cancel in it and a large κ multiplies it, so differences of displacements are taken
-/// in f64: in f32 residuals ended at 2e-6.
+/// in f64.
 #[inline(always)]
 fn volume_changes(brick: &Brick, form: &Form, u: &[Vec3]) -> [f32; LANES] {
     let at = |i: usize| form.rest.each_ref().map(|row| f64::from(row[i]));

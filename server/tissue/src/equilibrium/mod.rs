@@ -36,8 +36,9 @@
 //! # Limits
 //!
 //! Coarse operators follow hardening but not rotation. Tissue without `bottoms_out` folds from 30 % of a layer's thickness
-//! on. A Poisson's ratio of 0.45 takes twice the iterations of springs alone, 0.49 ten times. A point tool (radius below half a spacing) feels the corners of the mesh, and slips between
-//! the samples of a soft surface when it is pressed deeper than its own radius.
+//! on. A Poisson's ratio of 0.45 takes twice the iterations of springs alone, 0.49 twenty times. A point tool (radius below
+//! half a spacing) feels the corners of the mesh, and slips between the samples of a soft surface when it is pressed deeper
+//! than its own radius.
 
 // SIMD code must be inlined into the dispatched function.
 #![allow(clippy::inline_always)]
