@@ -1,6 +1,6 @@
 //! Layers of about one spacing keep their place.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)]
+#![allow(clippy::unwrap_used)]
 
 mod shapes;
 
@@ -13,9 +13,8 @@ const SPACING: f64 = 4.0;
 /// Radius of a ball or half the side of a box, in m.
 const SIZE: f64 = 0.04;
 
-/// Euler angles of the layers of boxes: along the lattice, oblique, and across its body diagonal.
-const TURNS: [[f64; 3]; 3] = [
-    [0.0, 0.0, 0.0],
+/// Euler angles of the layers of boxes: oblique, and across the body diagonal of the lattice.
+const TURNS: [[f64; 3]; 2] = [
     [0.35, 0.52, 0.7],
     [std::f64::consts::FRAC_PI_4, 0.615_480, 0.0],
 ];
@@ -52,7 +51,7 @@ fn own(report: &BuildReport) -> &RegionReport {
 
 #[test]
 fn layer_down_to_half_a_spacing_keeps_its_place() {
-    for turn in [None, Some(TURNS[1]), Some(TURNS[2])] {
+    for turn in [None, Some(TURNS[0]), Some(TURNS[1])] {
         for (within, thickness, least) in [
             (false, 0.5, 0.93),
             (true, 0.5, 0.93),
@@ -66,30 +65,6 @@ fn layer_down_to_half_a_spacing_keeps_its_place() {
             let error = own.volume_mm3 / own.input_volume_mm3 - 1.0;
             assert!(error.abs() < 1e-3, "{case}: {error}");
             assert_eq!(own.components, 1, "{case}");
-        }
-    }
-}
-
-/// Prints the Dice coefficient of layers by thickness.
-#[test]
-#[ignore = "prints a table"]
-fn dice_of_layers_by_thickness() {
-    println!(
-        "angles, in a third tissue, thickness in spacings: Dice of layer and core, volume error in %, tied nodes"
-    );
-    for turn in std::iter::once(None).chain(TURNS.map(Some)) {
-        for within in [false, true] {
-            for thickness in [0.5, 0.75, 1.0, 1.5, 2.0, 3.0] {
-                let report = built(&layer(turn, within, thickness));
-                let own = own(&report);
-                println!(
-                    "{turn:?}, {within}, {thickness:4.2}: {:.4} {:.4}, {:+.3}, {}",
-                    own.dice,
-                    report.regions[report.regions.len() - 1].dice,
-                    100.0 * (own.volume_mm3 / own.input_volume_mm3 - 1.0),
-                    report.quality.nodes_tied,
-                );
-            }
         }
     }
 }

@@ -6,7 +6,10 @@
 //! [`YIELD_M`] before it parts. One point for the whole edge, because layers pass along the edge of a blade that goes deeper,
 //! and each new point would begin without stretch.
 
+use std::collections::BTreeMap;
+
 use palpate_haptics::{ContactModel, Touch};
+use palpate_protocol::ParticipantId;
 use palpate_tissue::{EdgeTrack, Tissue, edge_resistance};
 
 use super::contact_model::MODEL_RADIUS_M;
@@ -15,10 +18,10 @@ use crate::tools::ToolAt;
 /// How far the edge pushes tissue before it parts, m. A shorter way makes a stiffer tie, which devices limit.
 const YIELD_M: f64 = 1e-3;
 
-/// The resistance against the edge of the own blade.
+/// The resistance against the edge of the own blade. A replica may serve several hands in turn.
 #[derive(Debug, Default)]
 pub(super) struct CuttingForce {
-    track: EdgeTrack,
+    tracks: BTreeMap<ParticipantId, EdgeTrack>,
 }
 
 impl CuttingForce {
@@ -26,11 +29,12 @@ impl CuttingForce {
     pub(super) fn add_to(&mut self, model: &mut ContactModel, tissue: &Tissue, tool: &ToolAt) {
         let Some(blade) = tool.edge() else {
             // The next cut begins elsewhere, in another direction.
-            self.track = EdgeTrack::default();
+            self.tracks.remove(&tool.participant);
             return;
         };
         let (topology, shape, history) = (tissue.topology(), tissue.shape(), tissue.history());
-        let edge = edge_resistance(topology, shape, history, &blade, &mut self.track);
+        let track = self.tracks.entry(tool.participant).or_default();
+        let edge = edge_resistance(topology, shape, history, &blade, track);
         if edge.newtons <= 0.0 {
             return;
         }
@@ -57,8 +61,8 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
     use palpate_device::{DeviceTime, Pose, Sample};
     use palpate_haptics::{Chain, ChainConfig, Tick};
+    use palpate_protocol::ClientTime;
     use palpate_protocol::tool::ToolDescription;
-    use palpate_protocol::{ClientTime, ParticipantId};
     use palpate_tissue::{Budget, CutStroke, Model, Vec3};
     use proptest::prelude::*;
 
@@ -130,10 +134,9 @@ mod tests {
         }
     }
 
-    #[test]
-    fn blade_that_follows_its_wound_feels_nothing() {
-        let mut tissue = Tissue::new(tissue());
-        let blade = |y: f64| ToolAt {
+    /// A cutting blade above y, in cells.
+    fn blade(y: f64) -> ToolAt {
+        ToolAt {
             participant: ParticipantId(1),
             description: ToolDescription::scalpel(6e-3, 0.02),
             position: Vec3::new(6.1, y, 4.2) * CELL_M,
@@ -141,7 +144,12 @@ mod tests {
             buttons: 1,
             strength: 1.0,
             returns: false,
-        };
+        }
+    }
+
+    #[test]
+    fn blade_that_follows_its_wound_feels_nothing() {
+        let mut tissue = Tissue::new(tissue());
         let pressed_n = |tissue: &Tissue| {
             let (mut force, mut model) = (CuttingForce::default(), ContactModel::FREE);
             for y in [5.0, 5.2] {
@@ -157,6 +165,33 @@ mod tests {
         };
         tissue.cut(&stroke).unwrap();
         assert_eq!(pressed_n(&tissue), 0.0);
+    }
+
+    #[test]
+    fn hands_that_share_a_replica_follow_their_own_blades() {
+        let mut tissue = Tissue::new(tissue());
+        let blade = |hand: u16, y: f64, buttons: u8| ToolAt {
+            participant: ParticipantId(hand),
+            buttons,
+            ..blade(y)
+        };
+        let stroke = CutStroke {
+            points: (-1..12)
+                .filter_map(|y| blade(1, y.into(), 1).edge())
+                .collect(),
+            width_m: 0.5e-3,
+        };
+        tissue.cut(&stroke).unwrap();
+        let (mut force, mut model) = (CuttingForce::default(), ContactModel::FREE);
+        for y in [5.0, 5.2] {
+            model = ContactModel::FREE;
+            force.add_to(&mut model, &tissue, &blade(1, y, 1));
+            for others in [blade(2, 3.0, 1), blade(3, 4.0, 0)] {
+                let mut theirs = ContactModel::FREE;
+                force.add_to(&mut theirs, &tissue, &others);
+            }
+        }
+        assert_eq!(model.touches[0].pressed_n, 0.0);
     }
 
     #[test]

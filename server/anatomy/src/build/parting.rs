@@ -5,7 +5,7 @@
 //! their lattice points, where every cell is a cube, in small steps that keep the floors. Where that is not enough, the
 //! nodes around them move too. Copies of a node beside a gap have one lattice point, so triangles there stay.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use palpate_tissue::Vec3;
 
@@ -29,7 +29,7 @@ pub(super) struct Parted {
     pub(super) crossing: Vec<[u32; 2]>,
 }
 
-/// Moves nodes until no two triangles of interfaces pass through each other.
+/// Moves nodes until no two triangles of interfaces pass through each other. If fewer do not result, no node moves.
 pub(super) fn part_crossings(
     untangler: &Untangler<'_>,
     faces: &[Face],
@@ -37,7 +37,9 @@ pub(super) fn part_crossings(
 ) -> Parted {
     let spacing = untangler.spacing();
     let mut crossing = crossing_faces(faces, positions, spacing);
-    let mut moved = BTreeSet::new();
+    let before = crossing.clone();
+    // The places before, of nodes that moved.
+    let mut moved = BTreeMap::new();
     for round in 0..ROUNDS {
         let corners = |pair: &[u32; 2]| pair.map(|f| faces[f as usize].nodes).into_iter().flatten();
         let beside_gap = |node: u32| untangler.constraint(node).beside_gap();
@@ -60,12 +62,12 @@ pub(super) fn part_crossings(
             .map(|(&node, at)| (node, (untangler.lattice_point(node) - at) * STEP))
             .collect();
         untangler.move_while_it_holds(&ways, FLOOR, positions);
-        let left = nodes.iter().zip(&from);
-        moved.extend(
-            left.filter(|(n, at)| positions[**n as usize] != **at)
-                .map(|(n, _)| *n),
-        );
-        nodes.extend(&moved);
+        for (&node, at) in nodes.iter().zip(from) {
+            if positions[node as usize] != at {
+                moved.entry(node).or_insert(at);
+            }
+        }
+        nodes.extend(moved.keys());
         nodes.extend(crossing.iter().flat_map(corners));
         let near = near(faces, &nodes, positions, spacing);
         let here: Vec<Face> = near.iter().map(|f| faces[*f as usize]).collect();
@@ -74,8 +76,14 @@ pub(super) fn part_crossings(
             .map(|pair| pair.map(|f| near[f as usize]))
             .collect();
     }
+    if crossing.len() >= before.len() {
+        for (node, at) in std::mem::take(&mut moved) {
+            positions[node as usize] = at;
+        }
+        crossing = before;
+    }
     Parted {
-        moved: moved.into_iter().collect(),
+        moved: moved.into_keys().collect(),
         crossing,
     }
 }
