@@ -10,6 +10,7 @@ mod comparison;
 mod hertz;
 mod hollow_sphere;
 mod layer_theory;
+mod plates;
 mod shaft;
 mod specimen;
 
@@ -42,7 +43,7 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
     let mut cases: Vec<Case> = Vec::new();
     for (i, poisson) in POISSON.into_iter().enumerate() {
         let mut stage = |name: &str, part: usize| {
-            let done = (i as f64 + part as f64 / 6.0) / POISSON.len() as f64;
+            let done = (i as f64 + part as f64 / 7.0) / POISSON.len() as f64;
             (bench.progress)(name, done);
         };
         stage("beam", 0);
@@ -60,17 +61,21 @@ pub(super) fn run(bench: &mut Bench<'_>) -> Result<Outcome, String> {
         }
         stage("bracket", 5);
         cases.extend(bracket::push(is_fine, poisson)?);
+        stage("plates", 6);
+        cases.extend(plates::glued(is_fine, poisson)?);
     }
     let layer = bonded_layer::curve(&cases);
+    let plates = plates::curve(&cases);
     let mut charts = vec![("validate".to_owned(), convergence(&cases))];
-    charts.extend(curves.into_iter().chain([layer]).map(drawn));
+    charts.extend(curves.into_iter().chain([layer, plates]).map(drawn));
     let missed: Vec<String> = cases.iter().filter_map(Case::missed).collect();
     let rows: Vec<Value> = cases.iter().map(Case::figures).collect();
     Ok(Outcome {
         caption: format!(
             "Small loads on specimens with known solutions. Each is solved at several spacings; the error at the finest \
              one counts, and the limit is {LIMIT_PERCENT} %. Order and extrapolated error follow from the last three \
-             spacings, where these converge monotonically. The reference of the bracket is another program."
+             spacings, where these converge monotonically. The references of the bracket and of the plates are other \
+             programs."
         ),
         figures: json!({
             "experiment": "validate",
@@ -179,7 +184,7 @@ mod tests {
         });
         let outcome = outcome.unwrap();
         assert_eq!(outcome.missed(), Vec::<String>::new());
-        assert_eq!(outcome.figures["cases"].as_array().unwrap().len(), 20);
+        assert_eq!(outcome.figures["cases"].as_array().unwrap().len(), 24);
         for (name, chart) in &outcome.charts {
             assert!(chart.to_svg().contains("<path"), "{name}");
         }
