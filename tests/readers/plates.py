@@ -71,8 +71,8 @@ def main(side, down, aside, young, poisson, cells=8):
         return data.qfrc_spring.copy()
 
     def stiffness(moved, along):
-        step = DIFFERENCE * side / numpy.abs(along).max() * along
         scale = DIFFERENCE * side / numpy.abs(along).max()
+        step = scale * along
         return (forces(moved - step) - forces(moved + step)) / (2.0 * scale) * is_free
 
     moved = numpy.outer(height, [aside, 0.0, -down]).ravel()
@@ -100,4 +100,6 @@ def main(side, down, aside, young, poisson, cells=8):
     return [-z, x]
 
 
+# MuJoCo would write its warnings into a file in the working directory.
+mujoco.set_mju_user_warning(lambda text: print(text, file=sys.stderr))
 json.dump(main(*map(float, sys.argv[1:6]), *map(int, sys.argv[6:])), sys.stdout)

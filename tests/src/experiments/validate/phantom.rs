@@ -3,7 +3,7 @@
 //!
 //! Beads lie in a lattice of 7 x 7 x 7, 10 mm apart, in a cube of 80 mm. Their positions without load and at three
 //! compressions were published on the project page of the Truth Cube; the file is `uniaxial_positions.csv` in
-//! OpenSurgSim (Apache 2.0).
+//! `OpenSurgSim` (Apache 2.0).
 //!
 //! The tissue is the part between the outermost layers of beads. Nodes in these two layers move as measured, so travel
 //! and friction of the plates are not needed, and Young's modulus has no influence. The displacements of the five

@@ -1,7 +1,7 @@
-//! A cube between two glued plates beside the elastic bodies of MuJoCo.
+//! A cube between two glued plates beside the elastic bodies of `MuJoCo`.
 //!
 //! The lower plate stays; the upper one moves down and aside. `tests/readers/plates.py` finds the shape in which the
-//! elastic forces of MuJoCo are in equilibrium. Its forces on the plate are extrapolated over three meshes; a test
+//! elastic forces of `MuJoCo` are in equilibrium. Its forces on the plate are extrapolated over three meshes; a test
 //! repeats the coarsest one.
 
 use palpate_tissue::{Vec3, block};
@@ -12,12 +12,12 @@ use super::specimen::{Specimen, material};
 const NAME: &str = "cube between glued plates";
 const QUANTITIES: [&str; 2] = ["force down (N)", "force aside (N)"];
 const SIDE_M: f64 = 20e-3;
-/// Displacement of the upper plate in m, down and aside: strains of 1e-4, where the law of MuJoCo (Saint Venant and
+/// Displacement of the upper plate in m, down and aside: strains of 1e-4, where the law of `MuJoCo` (Saint Venant and
 /// Kirchhoff) differs from linear elasticity by 0.02 %.
 const MOVE_M: f64 = 2e-6;
-/// Cells along each edge in MuJoCo; each is cut into five tetrahedra.
+/// Cells along each edge in `MuJoCo`; each is cut into five tetrahedra.
 const MUJOCO_CELLS: [f64; 3] = [12.0, 16.0, 24.0];
-/// Forces on the upper plate by MuJoCo 4.0.0 in N, down and aside, with [`MUJOCO_CELLS`], for each Poisson's ratio.
+/// Forces on the upper plate by `MuJoCo` 4.0.0 in N, down and aside, with [`MUJOCO_CELLS`], for each Poisson's ratio.
 const MUJOCO_N: [(f64, [[f64; 2]; 3]); 2] = [
     (
         0.25,
@@ -83,7 +83,7 @@ pub(super) fn glued(is_fine: bool, poisson: f64) -> Result<[Case; 2], String> {
     Ok(cases)
 }
 
-/// How much the force down is above the limit of MuJoCo, of the tissue and of MuJoCo, over the cells along an edge.
+/// Force down in percent above the limit, of the tissue and of `MuJoCo`, over the cells along an edge.
 pub(super) fn curve(cases: &[Case]) -> Curve {
     let set = |(poisson, meshes): (f64, [[f64; 2]; 3])| {
         let limit = limits(meshes)[0];
@@ -119,7 +119,7 @@ mod tests {
     use super::super::specimen::YOUNG_PA;
     use super::*;
 
-    /// `PALPATE_PYTHON` names a Python with MuJoCo; see `tests/tests/readers.rs`.
+    /// `PALPATE_PYTHON` names a Python with `MuJoCo`; see `tests/tests/readers.rs`.
     #[test]
     #[allow(clippy::print_stdout)]
     fn mujoco_gives_the_reference_forces_of_the_coarsest_mesh() {
