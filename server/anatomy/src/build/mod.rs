@@ -46,6 +46,7 @@ mod region_surfaces;
 mod relax;
 mod report;
 mod rim;
+mod separation;
 mod snap;
 mod spacing;
 mod strands;
@@ -194,6 +195,7 @@ pub fn build(
         contacts: contact_change::contacts(&grid, &samples, &faces, &model.nodes, &names),
         gaps,
         surface_faults: Vec::new(),
+        surface_intersections: 0,
         topology_hash: figures.topology_hash,
         deviations: 0,
         warnings,
