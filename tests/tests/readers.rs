@@ -142,6 +142,9 @@ fn trimesh_reads_closed_surfaces_of_equal_volume() {
     }
     let outer = &surfaces["outer.stl"];
     assert_eq!(outer["watertight"], true, "{outer}");
+    for (name, surface) in surfaces.as_object().unwrap() {
+        assert_eq!(surface["self_intersections"], 0, "{name}");
+    }
     assert_eq!(outer["triangles"], report["outer_surface"]["triangles"]);
     assert_near(number(&outer["volume_mm3"]), whole, 1e-6, "outer");
     let sheet = surfaces.as_object().unwrap().keys();

@@ -46,7 +46,6 @@ mod region_surfaces;
 mod relax;
 mod report;
 mod rim;
-mod separation;
 mod snap;
 mod spacing;
 mod strands;

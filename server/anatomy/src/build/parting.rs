@@ -2,19 +2,19 @@
 //!
 //! Cells above the quality floors are sound at their corners, but two triangles of their warped faces may still pass
 //! through each other, and no floor holds for an empty cell between two faces. The corners of such triangles first move
-//! to the plane that separates the two with the shortest way ([`separation`](super::separation)), while the floors hold.
+//! to the plane that separates the two with the shortest way ([`separations`]), while the floors hold.
 //! Where floors or neighbours prevent that, the nodes of the pair and more and more around them move half way to their
 //! lattice points, and the cells around are untangled again: in the limit all cells there are cubes. Copies of a node
 //! beside a gap have one lattice point, so these take part in the first way only.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use palpate_tissue::Vec3;
 
 use super::faces::Face;
-use super::separation::separation;
 use super::surface_faults::crossing_triangles;
 use super::untangle::{FLOOR, Untangler};
+use crate::surface::separations;
 
 /// Rounds in which triangles are separated by planes.
 const SEPARATIONS: usize = 8;
@@ -57,7 +57,9 @@ pub(super) fn part_crossings(
             nodes.retain(|node| !untangler.constraint(*node).beside_gap());
             untangler.move_half_way(&nodes, positions);
         } else {
-            let steps = steps(faces, &crossing, positions, MARGIN * spacing);
+            let triangle = |t: u32| faces[t as usize / 2].triangles(positions)[t as usize % 2];
+            let pairs = crossing.iter().map(|pair| pair.map(triangle));
+            let steps = separations(pairs, |n| positions[n as usize], MARGIN * spacing);
             untangler.move_while_it_holds(&steps, FLOOR, positions);
         }
         let mut changed = moved(&before, positions);
@@ -97,23 +99,6 @@ fn moved(before: &[Vec3], positions: &[Vec3]) -> Vec<u32> {
     let places = (0..).zip(before.iter().zip(positions));
     let moved = places.filter(|(_, (from, to))| from != to);
     moved.map(|(node, _)| node).collect()
-}
-
-/// The step of each corner of some pairs of triangles: the mean of those that separate its pairs.
-fn steps(faces: &[Face], pairs: &[[u32; 2]], positions: &[Vec3], margin: f64) -> Vec<(u32, Vec3)> {
-    let mut sums: BTreeMap<u32, (Vec3, f64)> = BTreeMap::new();
-    for pair in pairs {
-        let triangles = pair.map(|t| faces[t as usize / 2].triangles(positions)[t as usize % 2]);
-        for (node, by) in separation(triangles, |n| positions[n as usize], margin) {
-            let sum = sums.entry(node).or_default();
-            sum.0 += by;
-            sum.1 += 1.0;
-        }
-    }
-    let means = sums.into_iter();
-    means
-        .map(|(node, (sum, count))| (node, sum / count))
-        .collect()
 }
 
 /// The faces near some nodes.

@@ -1,15 +1,35 @@
-//! Separating two triangles by a plane.
+//! Separating triangles that pass through each other by planes.
+
+use std::collections::BTreeMap;
 
 use palpate_tissue::Vec3;
 
 /// Sines of angles below this are zero: two edges are parallel.
 const PARALLEL: f64 = 1e-9;
 
-/// Steps of the corners of two triangles to their own sides of a plane, at most the overlap long and at least `margin`
-/// (m) beyond it. Of the directions of the separating axis theorem (the normals, and the products of two edges), the
+/// The step of each corner of some pairs of triangles: the mean of those that separate its pairs.
+pub(crate) fn separations(
+    pairs: impl Iterator<Item = [[u32; 3]; 2]>,
+    place: impl Fn(u32) -> Vec3,
+    margin: f64,
+) -> Vec<(u32, Vec3)> {
+    let mut sums: BTreeMap<u32, (Vec3, f64)> = BTreeMap::new();
+    for (node, by) in pairs.flat_map(|pair| separation(pair, &place, margin)) {
+        let sum = sums.entry(node).or_default();
+        sum.0 += by;
+        sum.1 += 1.0;
+    }
+    let means = sums.into_iter();
+    means
+        .map(|(node, (sum, count))| (node, sum / count))
+        .collect()
+}
+
+/// Steps of the corners of two triangles to their own sides of a plane, at most the overlap long and at least
+/// `margin` beyond it. Of the directions of the separating axis theorem (the normals, and the products of two edges), the
 /// plane has the one in which the triangles overlap least. A common corner lies in the plane and stays; with two common
 /// corners there is no step.
-pub(super) fn separation(
+fn separation(
     triangles: [[u32; 3]; 2],
     place: impl Fn(u32) -> Vec3,
     margin: f64,
@@ -17,10 +37,8 @@ pub(super) fn separation(
     let places = triangles.map(|t| t.map(&place));
     let [a, b] = places.map(|[p, q, r]| [q - p, r - q, p - r].map(|e| e.normalize()));
     let crossed = a.iter().flat_map(|p| b.iter().map(move |q| p.cross(q)));
-    let axes = [a, b]
-        .map(|edges| edges[0].cross(&edges[1]))
-        .into_iter()
-        .chain(crossed);
+    let normals = [a, b].map(|edges| edges[0].cross(&edges[1]));
+    let axes = normals.into_iter().chain(crossed);
     let axes = axes.filter_map(|axis| axis.try_normalize(PARALLEL));
     let mut common = triangles[0].iter().filter(|n| triangles[1].contains(n));
     let shared = common.next().map(|n| place(*n));
@@ -55,8 +73,8 @@ pub(super) fn separation(
 
 #[cfg(test)]
 mod tests {
+    use super::super::crossings;
     use super::*;
-    use crate::surface::crossings;
     use proptest::prelude::*;
 
     proptest! {
