@@ -338,6 +338,7 @@ fn strokes_of_the_help_and_of_the_examples_cut_the_thigh() {
             .unwrap();
         assert_eq!(report["applied"], report["operations"], "{report}");
         assert_eq!(report["boundary"]["closed"], true);
+        assert_eq!(report["stl"]["self_intersections"], 0);
         let of = |region: &str| report["wound_triangles"][region].as_u64().unwrap_or(0);
         assert!(of("subcutaneous") > 50 && of("quadriceps") > 10, "{report}");
     }

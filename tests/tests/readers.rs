@@ -155,6 +155,34 @@ fn trimesh_reads_closed_surfaces_of_equal_volume() {
 }
 
 #[test]
+fn cut_surface_is_watertight_and_has_the_reported_intersections() {
+    if readers("versions", &[]).is_none() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let strokes = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/strokes.toml");
+    let report = server(&[
+        "cut",
+        "thigh",
+        "--strokes",
+        &strokes.display().to_string(),
+        "-o",
+        &path("m.palp"),
+        "--stl",
+        &path("outer.stl"),
+        "--json",
+    ]);
+    let Some(surfaces) = readers("stl", &[&dir.path().join("outer.stl")]) else {
+        return;
+    };
+    let outer = &surfaces["outer.stl"];
+    assert_eq!(outer["watertight"], true, "{outer}");
+    assert_eq!(outer["wound_alike"], true, "{outer}");
+    assert_eq!(outer["self_intersections"], report["stl"]["self_intersections"]);
+}
+
+#[test]
 fn nibabel_label_volume_builds_to_its_voxel_volumes() {
     let dir = tempfile::tempdir().unwrap();
     let volume = dir.path().join("labels.nii.gz");
