@@ -179,7 +179,10 @@ fn cut_surface_is_watertight_and_has_the_reported_intersections() {
     let outer = &surfaces["outer.stl"];
     assert_eq!(outer["watertight"], true, "{outer}");
     assert_eq!(outer["wound_alike"], true, "{outer}");
-    assert_eq!(outer["self_intersections"], report["stl"]["self_intersections"]);
+    assert_eq!(
+        outer["self_intersections"],
+        report["stl"]["self_intersections"]
+    );
 }
 
 #[test]
