@@ -14,6 +14,7 @@ import sys
 import igl
 import igl.copyleft.cgal
 import meshio
+import mujoco
 import nibabel
 import numpy
 import scipy
@@ -22,7 +23,7 @@ import trimesh
 
 
 def versions():
-    modules = (igl, meshio, trimesh, nibabel, numpy, scipy, skfem)
+    modules = (igl, meshio, mujoco, trimesh, nibabel, numpy, scipy, skfem)
     return {module.__name__: getattr(module, "__version__", "") for module in modules}
 
 
