@@ -2,7 +2,7 @@
 
     check.py versions           versions of the packages; fails if one is missing
     check.py vtu FILE           cells of a .vtu by meshio
-    check.py stl FILE...        surfaces by trimesh
+    check.py stl FILE...        surfaces by trimesh, pairs of triangles that intersect by libigl and CGAL
     check.py make-labels FILE   makes a small label volume by nibabel and prints its content
 
 All figures are computed from points and cells, never from metadata that Palpate wrote.
@@ -11,6 +11,8 @@ All figures are computed from points and cells, never from metadata that Palpate
 import json
 import sys
 
+import igl
+import igl.copyleft.cgal
 import meshio
 import mujoco
 import nibabel
@@ -21,8 +23,8 @@ import trimesh
 
 
 def versions():
-    modules = (meshio, mujoco, trimesh, nibabel, numpy, scipy, skfem)
-    return {module.__name__: module.__version__ for module in modules}
+    modules = (igl, meshio, mujoco, trimesh, nibabel, numpy, scipy, skfem)
+    return {module.__name__: getattr(module, "__version__", "") for module in modules}
 
 
 def hexahedron_volumes(corners):
@@ -70,6 +72,13 @@ def vtu(path):
     }
 
 
+def self_intersections(mesh):
+    """Pairs of triangles that meet in more than a common corner or edge, by exact arithmetic."""
+    places, triangles = mesh.vertices.astype(float), mesh.faces.astype(numpy.int64)
+    found = igl.copyleft.cgal.remesh_self_intersections(places, triangles, detect_only=True)
+    return len(found[2])
+
+
 def stl(paths):
     surfaces = {}
     for path in paths:
@@ -80,6 +89,7 @@ def stl(paths):
             "watertight": bool(mesh.is_watertight),
             "wound_alike": bool(mesh.is_winding_consistent),
             "volume_mm3": float(mesh.volume),
+            "self_intersections": self_intersections(mesh),
         }
     return surfaces
 

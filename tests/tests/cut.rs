@@ -94,6 +94,7 @@ fn figures_agree_with_the_written_model() {
     assert_eq!(report["boundary"]["closed"], true);
     assert_eq!(report["boundary"]["edges_not_two"], 0);
     assert_eq!(report["boundary"]["self_intersections"], 0);
+    assert_eq!(report["stl"]["self_intersections"], 0);
     assert_eq!(report["inverted_cells"], 0);
     assert!(number(&report["shortest_spring_mm"]) >= 0.3 * 5.0);
     assert!(number(&report["interface_drift_max_mm"]) <= 0.1 * 5.0);
@@ -332,9 +333,12 @@ fn strokes_of_the_help_and_of_the_examples_cut_the_thigh() {
         std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/strokes.toml"),
     );
     for strokes in [taught, &example.unwrap()] {
-        let report = bench.cut("thigh", "cut.palp", strokes, &[]).unwrap();
+        let report = bench
+            .cut("thigh", "cut.palp", strokes, &["--stl", "cut.stl"])
+            .unwrap();
         assert_eq!(report["applied"], report["operations"], "{report}");
         assert_eq!(report["boundary"]["closed"], true);
+        assert_eq!(report["stl"]["self_intersections"], 0);
         let of = |region: &str| report["wound_triangles"][region].as_u64().unwrap_or(0);
         assert!(of("subcutaneous") > 50 && of("quadriceps") > 10, "{report}");
     }

@@ -142,12 +142,46 @@ fn trimesh_reads_closed_surfaces_of_equal_volume() {
     }
     let outer = &surfaces["outer.stl"];
     assert_eq!(outer["watertight"], true, "{outer}");
+    for (name, surface) in surfaces.as_object().unwrap() {
+        assert_eq!(surface["self_intersections"], 0, "{name}");
+    }
     assert_eq!(outer["triangles"], report["outer_surface"]["triangles"]);
     assert_near(number(&outer["volume_mm3"]), whole, 1e-6, "outer");
     let sheet = surfaces.as_object().unwrap().keys();
     assert!(
         sheet.clone().any(|n| n.starts_with("interface-")),
         "{surfaces}"
+    );
+}
+
+#[test]
+fn cut_surface_is_watertight_and_has_the_reported_intersections() {
+    if readers("versions", &[]).is_none() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let strokes = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/strokes.toml");
+    let report = server(&[
+        "cut",
+        "thigh",
+        "--strokes",
+        &strokes.display().to_string(),
+        "-o",
+        &path("m.palp"),
+        "--stl",
+        &path("outer.stl"),
+        "--json",
+    ]);
+    let Some(surfaces) = readers("stl", &[&dir.path().join("outer.stl")]) else {
+        return;
+    };
+    let outer = &surfaces["outer.stl"];
+    assert_eq!(outer["watertight"], true, "{outer}");
+    assert_eq!(outer["wound_alike"], true, "{outer}");
+    assert_eq!(
+        outer["self_intersections"],
+        report["stl"]["self_intersections"]
     );
 }
 

@@ -88,15 +88,18 @@ impl CutOptions {
         let (topology, mut summary) = apply(&uncut, &entries);
         let model = topology.to_model();
         summary.model_hash = format!("{:016x}", model_hash(&model));
+        let rest = Shape::rest(&topology);
+        let mut staged = Vec::new();
+        if let Some(path) = &self.stl {
+            let (file, figures) = stage_outer_stl(&topology, &rest, path)?;
+            staged.push(file);
+            summary.stl = Some(figures);
+        }
         let file = ModelFile {
             report_json: with_cut(&report_json, &summary),
             model,
         };
-        let rest = Shape::rest(&topology);
-        let mut staged = vec![file.stage(&self.output)?];
-        if let Some(path) = &self.stl {
-            staged.push(stage_outer_stl(&topology, &rest, path)?);
-        }
+        staged.push(file.stage(&self.output)?);
         if let Some(path) = &self.vtu {
             staged.push(stage_vtu(&topology, &rest, path)?);
         }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+use palpate_anatomy::export::StlFigures;
 use serde::{Deserialize, Serialize};
 
 /// Most refused strokes and components in the text; `--json` lists all.
@@ -29,6 +30,9 @@ pub struct CutSummary {
     pub mass_after_kg: f64,
     /// The outer surface with the walls of the wounds.
     pub boundary: BoundaryFigures,
+    /// Deviations of the STL from the model, where one was asked for.
+    #[serde(default)]
+    pub stl: Option<StlFigures>,
     /// Cells that are inside out at a corner or as a whole.
     pub inverted_cells: usize,
     /// Shortest spring at rest.
@@ -126,6 +130,16 @@ pub(crate) fn describe(summary: &CutSummary) -> String {
         b.self_intersections,
         s.inverted_cells
     );
+    if let Some(stl) = &s.stl {
+        let _ = write!(
+            text,
+            "\nSTL: {} self-intersections, nodes at most {:.3} mm from those of the model",
+            stl.self_intersections, stl.moved_max_mm
+        );
+        for [x, y, z] in &stl.places_mm {
+            let _ = write!(text, "\n  self-intersection at ({x:.1}, {y:.1}, {z:.1}) mm");
+        }
+    }
     let _ = write!(
         text,
         "\nshortest spring {:.3} mm; sheet at most {:.3} mm from the path ({} nodes short), interfaces at most {:.3} mm \

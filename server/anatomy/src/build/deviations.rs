@@ -2,7 +2,7 @@
 
 use super::component_loss::ComponentLoss;
 use super::contact_change::ContactReport;
-use super::{BuildReport, FaultKind, RegionReport, SurfaceReport, ThinKind};
+use super::{BuildReport, FaultKind, RegionReport, SurfaceFault, SurfaceReport, ThinKind};
 use crate::scene::{Scene, Thresholds};
 
 /// Most components of a kind, and most contacts, that are named in warnings; the rest is counted.
@@ -44,6 +44,14 @@ pub(super) fn warn(report: &mut BuildReport, faulty: &[usize], scene: &Scene) {
     for region in &report.regions {
         let name = Some(&region.name);
         of_surface(report, name, &region.surface, thresholds, &mut warnings);
+    }
+    if report.surface_intersections as f64 > thresholds.self_intersections {
+        let first = first_fault(report, FaultKind::OtherSurface, |_| true);
+        warnings.push(format!(
+            "surfaces of different regions pass through each other at {} pairs of triangles{first}; use another \
+             spacing_mm",
+            report.surface_intersections
+        ));
     }
     report.deviations = faulty.len() + warnings.len();
     // No threshold decides on these: pieces of the model and components of the input are counted in different ways.
@@ -157,14 +165,8 @@ fn of_surface(
         || "the outer surface".to_owned(),
         |name| format!("the surface of region {name:?}"),
     );
-    let first = |kind: FaultKind| {
-        let mut faults = report.surface_faults.iter();
-        let fault = faults.find(|f| f.kind == kind && f.region.as_ref() == region);
-        fault.map_or_else(String::new, |fault| {
-            let [x, y, z] = fault.at_mm;
-            format!(", the first at ({x:.1}, {y:.1}, {z:.1}) mm")
-        })
-    };
+    let first =
+        |kind: FaultKind| first_fault(report, kind, |fault| fault.region.as_ref() == region);
     if surface.edges_not_two > 0 {
         warnings.push(format!(
             "{name} is not closed: {} edges do not belong to two triangles{}; use another spacing_mm",
@@ -179,6 +181,20 @@ fn of_surface(
             first(FaultKind::SelfIntersection)
         ));
     }
+}
+
+/// Names the place of the first fault of a kind for which `is_own` holds, if there is one.
+fn first_fault(
+    report: &BuildReport,
+    kind: FaultKind,
+    is_own: impl Fn(&SurfaceFault) -> bool,
+) -> String {
+    let mut faults = report.surface_faults.iter();
+    let fault = faults.find(|f| f.kind == kind && is_own(f));
+    fault.map_or_else(String::new, |fault| {
+        let [x, y, z] = fault.at_mm;
+        format!(", the first at ({x:.1}, {y:.1}, {z:.1}) mm")
+    })
 }
 
 fn of_contacts(

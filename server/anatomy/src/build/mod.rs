@@ -171,7 +171,6 @@ pub fn build(
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     input_check::hanging(&model, &mut warnings);
-    let gaps = gaps::reports(&model, &opened);
     let figures = figures(&model, &faces, &names);
     let mut report = BuildReport {
         nodes: model.nodes.len(),
@@ -192,8 +191,9 @@ pub fn build(
         thin: collector.finish(&names),
         component_loss: component_loss::losses(&overlap.components, &names, &input.scene),
         contacts: contact_change::contacts(&grid, &samples, &faces, &model.nodes, &names),
-        gaps,
+        gaps: gaps::reports(&model, &opened),
         surface_faults: Vec::new(),
+        surface_intersections: 0,
         topology_hash: figures.topology_hash,
         deviations: 0,
         warnings,

@@ -47,10 +47,13 @@ pub struct BuildReport {
     /// Gaps of the input that stay open although no cell is empty there.
     #[serde(default)]
     pub gaps: Vec<GapReport>,
-    /// Places where the outer surface or that of a region is not closed or passes through itself: the first ones of each
-    /// surface.
+    /// Places where the outer surface or that of a region is not closed or passes through itself or another one: the
+    /// first ones of each surface.
     #[serde(default)]
     pub surface_faults: Vec<SurfaceFault>,
+    /// Pairs of triangles that pass through each other of two surfaces without a region in common.
+    #[serde(default)]
+    pub surface_intersections: usize,
     /// Topology hash of the uncut model, hexadecimal.
     pub topology_hash: String,
     /// Number of warnings about faulty input surfaces, and about deviations beyond the thresholds of the scene.

@@ -31,15 +31,20 @@ pub enum FaultKind {
     EdgeNotTwo,
     /// Two triangles pass through each other.
     SelfIntersection,
+    /// A triangle passes through one of a surface without a region in common; the region is that of one of the two.
+    OtherSurface,
 }
 
-/// The two faces of each pair of triangles that pass through each other.
-pub(super) fn crossing_faces(faces: &[Face], positions: &[Vec3], spacing: f64) -> Vec<[u32; 2]> {
+/// Pairs of triangles that pass through each other; face f has the triangles 2 f and 2 f + 1.
+pub(super) fn crossing_triangles(
+    faces: &[Face],
+    positions: &[Vec3],
+    spacing: f64,
+) -> Vec<[u32; 2]> {
     let triangles: Vec<[u32; 3]> = (faces.iter())
         .flat_map(|f| f.triangles(positions))
         .collect();
-    let pairs = crossings(&triangles, |n| positions[n as usize], spacing);
-    pairs.into_iter().map(|p| p.map(|t| t / 2)).collect()
+    crossings(&triangles, |n| positions[n as usize], spacing)
 }
 
 /// Enters the faults of all surfaces into a report.
@@ -49,6 +54,10 @@ pub(super) fn enter(
     faces: &[Face],
     crossing: &[[u32; 2]],
 ) {
+    let middle = |pair: &[u32; 2]| {
+        let middles = pair.map(|f| faces[f as usize].middle_and_area(&model.nodes).0);
+        (middles[0] + middles[1]) / 2.0
+    };
     let surfaces = std::iter::once(OUTSIDE).chain(0..model.regions.len() as u16);
     for surface in surfaces {
         let (region, figures) = match surface {
@@ -77,10 +86,8 @@ pub(super) fn enter(
         };
         let own = crossing.iter().filter(|pair| pair.iter().all(|f| of(*f)));
         figures.self_intersections = own.clone().count();
-        places.extend(own.take(PLACES_MAX).map(|pair| {
-            let middles = pair.map(|f| faces[f as usize].middle_and_area(&model.nodes).0);
-            (FaultKind::SelfIntersection, (middles[0] + middles[1]) / 2.0)
-        }));
+        let own = own.take(PLACES_MAX);
+        places.extend(own.map(|pair| (FaultKind::SelfIntersection, middle(pair))));
         let faults = places.into_iter().map(|(kind, at)| SurfaceFault {
             region: region.clone(),
             kind,
@@ -88,4 +95,18 @@ pub(super) fn enter(
         });
         report.surface_faults.extend(faults);
     }
+    let sides = |face: u32| {
+        let face = &faces[face as usize];
+        [face.region, face.other]
+    };
+    let apart = crossing
+        .iter()
+        .filter(|[a, b]| !sides(*a).iter().any(|s| sides(*b).contains(s)));
+    report.surface_intersections = apart.clone().count();
+    let faults = apart.take(PLACES_MAX).map(|pair| SurfaceFault {
+        region: Some(report.regions[usize::from(sides(pair[0])[0])].name.clone()),
+        kind: FaultKind::OtherSurface,
+        at_mm: (middle(pair) * 1e3).into(),
+    });
+    report.surface_faults.extend(faults);
 }

@@ -90,8 +90,17 @@ pub(super) fn built(spacing_mm: f64, regions: &[(&str, Surface)]) -> (Model, Bui
     build(&scene(spacing_mm, regions), &mut |_, _| {}).unwrap()
 }
 
+/// Edges of surfaces that do not belong to two triangles, and pairs of triangles that pass through each other.
+pub(super) fn surface_faults(report: &BuildReport) -> usize {
+    let regions = report.regions.iter().map(|r| &r.surface);
+    let surfaces = std::iter::once(&report.outer_surface).chain(regions);
+    let faults = surfaces.map(|s| s.edges_not_two + s.self_intersections);
+    faults.sum::<usize>() + report.surface_intersections
+}
+
 pub(super) fn assert_sound(model: &Model, report: &BuildReport) {
     assert!(report.outer_surface.closed, "{report:?}");
+    assert_eq!(surface_faults(report), 0, "{:?}", report.surface_faults);
     assert_eq!(report.quality.inverted_cells, 0, "{report:?}");
     assert_eq!(report.quality.bad_cells, 0, "{report:?}");
     assert!(report.quality.shortest_spring >= SPRING_FLOOR, "{report:?}");

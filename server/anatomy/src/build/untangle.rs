@@ -36,11 +36,7 @@ const AIM: (f64, f64) = (0.08, 0.38);
 pub(super) const FLOOR: (f64, f64) = (CORNER_FLOOR * 1.001, SPRING_FLOOR * 1.001);
 
 /// Sweeps, and their weights of the distance to the surface (w above). Later sweeps let nodes move farther off.
-const STAGES: [(usize, f64); 3] = [(10, 0.1), (12, 0.01), (16, LAST_HOLD)];
-/// The weight at which nodes beside gaps may leave their surfaces too.
-const LAST_HOLD: f64 = 0.001;
-/// Least weight of the distance of these nodes.
-const HOLD_AT_GAP: f64 = 1.0;
+const STAGES: [(usize, f64); 3] = [(10, 0.1), (12, 0.01), (16, 0.001)];
 /// Part of a gap that each of its two sides may take up for the volumes of its regions.
 const GAP_PART: f64 = 0.25;
 /// Weight of the distance to the current position (ε above).
@@ -266,13 +262,6 @@ impl<'a> Untangler<'a> {
             // Off the surface the normal is the direction back to it. On the surface the term vanishes; it acts
             // at the next visit that finds the node off the surface.
             let normal = off.try_normalize(1e-9);
-            // The two sides of a gap would meet if their nodes left their surfaces, so other nodes have to move.
-            let (normal, hold) = if constraint.beside_gap() {
-                let facing = constraint.facing().try_normalize(0.0);
-                (normal.or(facing), hold.max(HOLD_AT_GAP))
-            } else {
-                (normal, hold)
-            };
             if let Some(normal) = normal {
                 pull.0 += normal * normal.transpose() * hold;
                 pull.1 += off * hold;
@@ -280,10 +269,30 @@ impl<'a> Untangler<'a> {
         }
         let stencil = Stencil::gather(self, node, positions);
         let to = at + stencil.minimise(&pull.0, &pull.1) * self.spacing;
-        if constraint.beside_gap() && hold > LAST_HOLD {
-            return project(self.interfaces, constraint, to);
+        // The step stays on the node's own side of a gap.
+        let mut tried = TRIES.iter().map(|part| at + (to - at) * *part);
+        tried.find(|to| self.keeps_gap_open(node, to)).unwrap_or(at)
+    }
+
+    /// Moves some nodes half way to their lattice points, and untangles the cells around them until none fails.
+    pub(super) fn move_half_way(&self, nodes: &[u32], positions: &mut [Vec3]) {
+        let touched = self.halve(nodes, positions);
+        let bad = self.failing(touched.into_iter(), positions, FLOOR);
+        self.let_go(bad, positions);
+    }
+
+    /// Moves some nodes half way to their lattice points, and visits those of cells that fail; returns the cells that
+    /// may fail afterwards.
+    fn halve(&self, nodes: &[u32], positions: &mut [Vec3]) -> Vec<u32> {
+        for &node in nodes {
+            let at = positions[node as usize];
+            positions[node as usize] = (at + self.lattice_point(node)) / 2.0;
         }
-        to
+        let mut touched = self.failing(self.cells_at(nodes).into_iter(), positions, GOOD);
+        for _ in 0..SWEEPS_AFTER_HALVING {
+            touched = self.sweep(&touched, 0.0, positions);
+        }
+        touched
     }
 
     /// Moves the nodes of failing cells back towards their lattice points until none fails.
@@ -294,15 +303,8 @@ impl<'a> Untangler<'a> {
                 return sorted(gone.into_iter());
             }
             let nodes = self.nodes_of(&bad);
-            for &node in &nodes {
-                let at = positions[node as usize];
-                positions[node as usize] = (at + self.lattice_point(node)) / 2.0;
-            }
-            let mut touched = self.failing(self.cells_at(&nodes).into_iter(), positions, GOOD);
+            let mut touched = self.halve(&nodes, positions);
             gone.extend(nodes);
-            for _ in 0..SWEEPS_AFTER_HALVING {
-                touched = self.sweep(&touched, 0.0, positions);
-            }
             touched.extend(&bad);
             bad = self.failing(sorted(touched.into_iter()).into_iter(), positions, FLOOR);
         }

@@ -6,8 +6,9 @@ use std::path::Path;
 
 use palpate_tissue::cell::NO_CELL;
 use palpate_tissue::file::{Staged, WriteError};
-use palpate_tissue::{FaceId, RegionId, Shape, Topology, Vec3};
+use palpate_tissue::{FaceId, RegionId, Shape, Topology};
 
+use super::apart::{StlFigures, apart};
 use crate::Surface;
 
 /// Longest file name made of region names, in characters. Reason: file systems end at 255 bytes,
@@ -55,7 +56,8 @@ pub fn surfaces(topology: &Topology, shape: &Shape) -> Vec<NamedSurface> {
 }
 
 /// Writes every surface as a binary STL in mm into a folder, which is made if it does not exist. The files
-/// appear at their paths only after [`Staged::put_in_place`]. The walls of closed wounds are 0.01 mm apart.
+/// appear at their paths only after [`Staged::put_in_place`]. The walls of closed wounds are 0.01 mm apart, see
+/// [`StlFigures`].
 pub fn stage_stl(
     topology: &Topology,
     shape: &Shape,
@@ -65,7 +67,8 @@ pub fn stage_stl(
         path: folder.to_owned(),
         source,
     })?;
-    surfaces(topology, &apart(topology, shape))
+    let (apart, _) = apart(topology, shape);
+    surfaces(topology, &apart)
         .iter()
         .map(|s| {
             let path = folder.join(format!("{}.stl", s.name));
@@ -74,57 +77,18 @@ pub fn stage_stl(
         .collect()
 }
 
-/// Half of the gap in m between two nodes of an STL that would be in one place.
-const HALF_GAP_M: f64 = 5e-6;
-
 /// Writes the outer surface as one binary STL in mm; the file appears at its path only after [`Staged::put_in_place`].
+/// Also returns its deviations from the model.
 pub fn stage_outer_stl(
     topology: &Topology,
     shape: &Shape,
     path: &Path,
-) -> Result<Staged, WriteError> {
+) -> Result<(Staged, StlFigures), WriteError> {
     let triangles = &topology.boundary().triangles;
-    let apart = apart(topology, shape);
+    let (apart, figures) = apart(topology, shape);
     let outer = named(&mut BTreeSet::new(), "outer", topology, &apart, triangles);
-    Staged::write(path, |out| outer.surface.write_stl_to(out))
-}
-
-/// The shape with outer nodes that are in one place moved apart by 0.01 mm, into their own tissue: those of the walls of
-/// a closed wound. Reason: readers of STL join equal points, and edges of four triangles would result.
-fn apart(topology: &Topology, shape: &Shape) -> Shape {
-    // In the precision of the file.
-    let place = |node: u32| {
-        let at = shape.position(topology, node) * 1e3;
-        [at.x, at.y, at.z].map(|x| (x as f32 + 0.0).to_bits())
-    };
-    let triangles = &topology.boundary().triangles;
-    let mut nodes: Vec<u32> = triangles.iter().flatten().copied().collect();
-    nodes.sort_unstable();
-    nodes.dedup();
-    let mut placed: Vec<([u32; 3], u32)> = nodes.iter().map(|&n| (place(n), n)).collect();
-    placed.sort_unstable();
-    let together = placed.chunk_by(|a, b| a.0 == b.0).filter(|c| c.len() > 1);
-    let mut inwards: BTreeMap<u32, Vec3> = together
-        .flatten()
-        .map(|&(_, node)| (node, Vec3::zeros()))
-        .collect();
-    let mut apart = shape.clone();
-    if inwards.is_empty() {
-        return apart;
-    }
-    for triangle in triangles {
-        let [a, b, c] = triangle.map(|n| shape.position(topology, n));
-        for node in triangle {
-            if let Some(sum) = inwards.get_mut(node) {
-                *sum += (c - a).cross(&(b - a));
-            }
-        }
-    }
-    for (node, area) in inwards {
-        let way = area.try_normalize(0.0).unwrap_or_default();
-        apart.displacement[node as usize] += way * HALF_GAP_M;
-    }
-    apart
+    let staged = Staged::write(path, |out| outer.surface.write_stl_to(out))?;
+    Ok((staged, figures))
 }
 
 /// Triangles of faces between regions.

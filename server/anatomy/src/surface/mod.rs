@@ -12,6 +12,7 @@ mod obj;
 mod orient;
 mod ply;
 mod read;
+mod separation;
 mod stl;
 mod weld;
 
@@ -19,6 +20,7 @@ pub use check_report::CheckReport;
 pub use crossings::crossings;
 pub(crate) use edges::{Edges, Sets, in_mm};
 pub use read::{FILE_BYTES_MAX, TRIANGLES_MAX};
+pub(crate) use separation::separations;
 
 use edges::EdgeUse;
 use palpate_tissue::Vec3;
