@@ -108,7 +108,9 @@ pub fn build(
     let query = inside::PointQuery::new(&surfaces, grid.middle(), spacing);
     input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
-    let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &mut walls);
+    let rays = overlap::InputRays::of(input, &grid, &surfaces);
+    let (mut input_volumes, folds) =
+        label::resolved_volumes(&grid, &surfaces, |r| rays.kept(r), &mut walls);
     let faulty = input_check::folds(input, &folds, &mut warnings);
     prefer_voxels(&mut input_volumes, input);
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
@@ -157,7 +159,8 @@ pub fn build(
     model.resolve_fibres();
 
     progress("comparing with the input", 0.9);
-    let overlap = overlap::InputRays::of(input, &grid, &surfaces).compare(&model, &faces);
+    let overlap = rays.compare(&model, &faces);
+    drop(rays);
     let (regions, strays) = compare::regions(&compare::Compared {
         model: &model,
         around: &around,
