@@ -98,7 +98,7 @@ pub(crate) struct Form {
     pub(crate) small_displacement: f32,
     /// Bit `4 d + i / 8` is set when a spring of direction `d` starts at a node around `i`.
     used: u64,
-    /// κ V0 of each cell in N m, and one over its determinant at rest (the volume term).
+    /// κ V0 of each cell in N m, and one over its determinant at rest, by the cell's first node (the volume term).
     pub(crate) bulk: [f32; LANES],
     pub(crate) per_volume: [f32; LANES],
     /// Modulus that hardens each cell's corners in Pa, by the cell's first node, and the
@@ -250,8 +250,9 @@ impl Draft {
             }
             let det = rest_determinant(&corners);
             if elastic.bulk_pa > 0.0 && det > 0.0 {
-                bulk[position] = (elastic.bulk_pa * topology.volume(cell)) as f32;
-                per_volume[position] = (1.0 / det.max(LENGTH_FLOOR * spacing.powi(3))) as f32;
+                let first = CORNER[position][0];
+                bulk[first] = (elastic.bulk_pa * topology.volume(cell)) as f32;
+                per_volume[first] = (1.0 / det.max(LENGTH_FLOOR * spacing.powi(3))) as f32;
             }
         }
         let mut stiffness = Aligned([[0.0; SPAN]; DIRECTIONS]);

@@ -148,11 +148,12 @@ impl Sum {
 
     #[inline(always)]
     fn add_bulk<S: Simd>(&mut self, simd: S, form: &Form, fixed: u32) {
-        for cell in 0..8 {
+        for corners in CORNER {
+            let cell = corners[0];
             if form.bulk[cell] == 0.0 {
                 continue;
             }
-            let point = |c: usize, a: usize| f64::from(form.rest[a][CORNER[cell][c]]);
+            let point = |c: usize, a: usize| f64::from(form.rest[a][corners[c]]);
             let edge: [[f64; 3]; 3] = std::array::from_fn(|axis| {
                 std::array::from_fn(|a| {
                     (0..8)
@@ -182,7 +183,7 @@ impl Sum {
             let scale = f64::from(form.per_volume[cell]) / 4.0;
             let mut b = [0.0; SIZE];
             for c in 0..8 {
-                let entry = CORNER[cell][c];
+                let entry = corners[c];
                 if fixed >> entry & 1 == 1 {
                     continue;
                 }

@@ -6,12 +6,13 @@ use std::ops::{Deref, DerefMut};
 
 use pulp::{Simd, WithSimd};
 
-use super::brick::{Brick, CORNER, DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN, mean_edges};
+use super::brick::{Brick, DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN};
 use super::corners::{corner_forces, corner_tangents};
-use super::lanes::{LANES, V};
+use super::lanes::V;
 use super::law::{EXTREME, GUARD, GUARDED, LONG, SHORT, SIDEWAYS};
 use super::small_strain::small_strain_forces;
 use super::stabilisation::{stabilised_forces, stabilised_tangents};
+use super::volume::{volume_forces, volume_tangents};
 use crate::Vec3;
 
 /// Factor by which the diagonal blocks of springs bound their matrix; 2 holds for any mesh. On lattices with all
@@ -44,9 +45,6 @@ pub(crate) type Local = Aligned<[[f32; PADDED]; 3]>;
 
 /// Symmetric blocks over the nodes of a brick: xx, yy, zz, xy, xz, yz.
 pub(crate) type LocalBlocks = Aligned<[[f32; PADDED]; 6]>;
-
-/// Cells of a brick.
-const CELLS: usize = 8;
 
 /// Axes of the entries of a symmetric block.
 pub(crate) const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
@@ -86,8 +84,7 @@ impl WithSimd for Forces<'_> {
             None => spring_forces(simd, self.form, &local, self.scratch),
         };
         if self.form.has_bulk {
-            let changes = volume_changes(self.brick, self.form, self.u);
-            bulk_forces(simd, self.form, &local, &changes, &mut f);
+            volume_forces(simd, self.brick, self.form, self.u, &local, &mut f);
         }
         for (to, f) in self.to.iter_mut().zip(&*f) {
             to.copy_from_slice(&f[..LOCALS]);
@@ -128,7 +125,7 @@ impl WithSimd for Tangents<'_> {
             spring_tangents(simd, form, &local, per_spacing, scratch)
         };
         if form.has_bulk {
-            bulk_tangents(simd, form, &local, &mut m);
+            volume_tangents(simd, form, &local, &mut m);
         }
         m
     }
@@ -398,136 +395,6 @@ pub(crate) fn cross<S: Simd>(a: &[V<S>; 3], b: &[V<S>; 3]) -> [V<S>; 3] {
         a[2] * b[0] - a[0] * b[2],
         a[0] * b[1] - a[1] * b[0],
     ]
-}
-
-/// Mean edges of the cells from `from` on: the difference of a quantity between opposite faces.
-#[inline(always)]
-fn edges<S: Simd>(simd: S, of: &Local, from: usize) -> [[V<S>; 3]; 3] {
-    let mut numbers = [[[0.0; LANES]; 3]; 3];
-    for l in from..CELLS.min(from + V::<S>::WIDTH) {
-        for c in 0..8 {
-            let i = CORNER[l][c];
-            for (axis, edge) in numbers.iter_mut().enumerate() {
-                let sign = if c >> axis & 1 == 1 { 0.25 } else { -0.25 };
-                for a in 0..3 {
-                    edge[a][l] += sign * of[a][i];
-                }
-            }
-        }
-    }
-    let load = |axis: usize, a: usize| V::load(simd, &numbers[axis][a], from);
-    [
-        [load(0, 0), load(0, 1), load(0, 2)],
-        [load(1, 0), load(1, 1), load(1, 2)],
-        [load(2, 0), load(2, 1), load(2, 2)],
-    ]
-}
-
-/// (b×c, c×a, a×b)/det0 of the cells from `from` on: the parts of the gradient of J.
-#[inline(always)]
-fn normals<S: Simd>(simd: S, form: &Form, u: &Local, from: usize) -> [[V<S>; 3]; 3] {
-    let rest = edges(simd, &form.rest, from);
-    let by = edges(simd, u, from);
-    let sum = |e: usize| {
-        [
-            rest[e][0] + by[e][0],
-            rest[e][1] + by[e][1],
-            rest[e][2] + by[e][2],
-        ]
-    };
-    let now = [sum(0), sum(1), sum(2)];
-    let scale = V::load(simd, &form.per_volume, from);
-    let scaled = |n: [V<S>; 3]| [n[0] * scale, n[1] * scale, n[2] * scale];
-    [
-        scaled(cross(&now[1], &now[2])),
-        scaled(cross(&now[2], &now[0])),
-        scaled(cross(&now[0], &now[1])),
-    ]
-}
-
-/// J - 1 of each cell. Strains nearly cancel in it and a large κ multiplies it, so differences of displacements are taken
-/// in f64.
-#[inline(always)]
-fn volume_changes(brick: &Brick, form: &Form, u: &[Vec3]) -> [f32; LANES] {
-    let at = |i: usize| form.rest.each_ref().map(|row| f64::from(row[i]));
-    let mut changes = [0.0; LANES];
-    for (l, corners) in CORNER.iter().enumerate() {
-        if form.bulk[l] > 0.0 {
-            let rest = mean_edges(&corners.map(|i| Vec3::from(at(i))));
-            let by = mean_edges(&corners.map(|i| u[brick.nodes[i] as usize]));
-            let now = [1, 2].map(|e| rest[e] + by[e]);
-            // det(now) - det(rest), term by term, so that a small change keeps its digits.
-            let change = by[0].dot(&now[0].cross(&now[1]))
-                + rest[0].dot(&by[1].cross(&now[1]))
-                + rest[0].dot(&rest[1].cross(&by[2]));
-            changes[l] = (change * f64::from(form.per_volume[l])) as f32;
-        }
-    }
-    changes
-}
-
-#[inline(always)]
-fn bulk_forces<S: Simd>(simd: S, form: &Form, u: &Local, changes: &[f32; LANES], f: &mut Local) {
-    let mut push = [[[0.0; LANES]; 3]; 3];
-    let mut from = 0;
-    while from < CELLS {
-        let normals = normals(simd, form, u, from);
-        let change = V::load(simd, changes, from);
-        let pressure = V::load(simd, &form.bulk, from) * change * V::all(simd, 0.25);
-        for (axis, normal) in normals.into_iter().enumerate() {
-            for a in 0..3 {
-                (pressure * normal[a]).store(&mut push[axis][a], from);
-            }
-        }
-        from += V::<S>::WIDTH;
-    }
-    for l in 0..CELLS {
-        for c in 0..8 {
-            for a in 0..3 {
-                let mut sum = 0.0;
-                for (axis, push) in push.iter().enumerate() {
-                    sum += if c >> axis & 1 == 1 {
-                        push[a][l]
-                    } else {
-                        -push[a][l]
-                    };
-                }
-                f[a][CORNER[l][c]] -= sum;
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn bulk_tangents<S: Simd>(simd: S, form: &Form, u: &Local, m: &mut LocalBlocks) {
-    let mut gradient = [[[0.0; LANES]; 3]; 3];
-    let mut from = 0;
-    while from < CELLS {
-        let normals = normals(simd, form, u, from);
-        for (axis, normal) in normals.into_iter().enumerate() {
-            for a in 0..3 {
-                normal[a].store(&mut gradient[axis][a], from);
-            }
-        }
-        from += V::<S>::WIDTH;
-    }
-    // Eight corners: eight times the blocks bound the matrix of a cell.
-    for l in 0..CELLS {
-        let k = form.bulk[l] * (8.0 / 16.0);
-        for c in 0..8 {
-            let g: [f32; 3] = std::array::from_fn(|a| {
-                let mut sum = 0.0;
-                for (axis, gradient) in gradient.iter().enumerate() {
-                    let v = gradient[a][l];
-                    sum += if c >> axis & 1 == 1 { v } else { -v };
-                }
-                sum
-            });
-            for (e, (a, b)) in PAIRS.into_iter().enumerate() {
-                m[e][CORNER[l][c]] += k * g[a] * g[b];
-            }
-        }
-    }
 }
 
 #[cfg(test)]

@@ -88,6 +88,7 @@ mod small_strain;
 mod smoothing;
 mod solver;
 mod stabilisation;
+mod volume;
 mod warm_start;
 mod weight;
 mod work_limit;

@@ -2,6 +2,7 @@ use pulp::{Arch, Scalar};
 
 use super::*;
 use crate::equilibrium::brick::Draft;
+use crate::equilibrium::lanes::LANES;
 use crate::{Material, Model, Topology, block};
 
 /// A distorted brick of a material that uses every term, and displacements that fold it.
