@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::folds::Folds;
 use super::gaps::{Parts, Run};
 use super::grid::Grid;
+use super::overlap::InputRays;
 use super::rays::{Hits, Rays, cast};
 use super::strands::{NOTHING, RAYS_PER_CELL, Strand, Strands};
 use super::walls::{Share, Walls, contact};
@@ -207,13 +208,13 @@ fn decide(part: &[f64]) -> Decision {
 
 /// Volume in m³ of each region with overlaps resolved, and the folds of surfaces that have some.
 ///
-/// The volume of each whole surface is exact (divergence theorem) unless it is folded. `kept` gives the part that no later
+/// The volume of each whole surface is exact (divergence theorem) unless it is folded. `rays` give the part that no later
 /// region takes, measured as a ratio to the same rays' measure of the whole, so that the sampling error of flat ends
 /// and rims cancels. Rays of three directions along the lattice give `walls` the regions that touch and where.
 pub(super) fn resolved_volumes(
     grid: &Grid,
     surfaces: &[&Surface],
-    kept: impl Fn(usize) -> f64,
+    rays: &InputRays,
     walls: &mut Walls,
 ) -> (Vec<f64>, Vec<(usize, Folds)>) {
     let folded = (0..3).fold(0_u64, |folded, axis| {
@@ -227,7 +228,7 @@ pub(super) fn resolved_volumes(
         let own = folds.iter().find(|f| f.0 == r);
         own.map_or_else(|| surfaces[r].volume(), |(_, folds)| folds.volume)
     };
-    let volumes = (0..surfaces.len()).map(|r| volume(r) * kept(r));
+    let volumes = (0..surfaces.len()).map(|r| volume(r) * rays.kept(r));
     (volumes.collect(), folds)
 }
 

@@ -109,8 +109,7 @@ pub fn build(
     input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
     let rays = overlap::InputRays::of(input, &grid, &surfaces);
-    let (mut input_volumes, folds) =
-        label::resolved_volumes(&grid, &surfaces, |r| rays.kept(r), &mut walls);
+    let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &rays, &mut walls);
     let faulty = input_check::folds(input, &folds, &mut warnings);
     prefer_voxels(&mut input_volumes, input);
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
@@ -147,7 +146,6 @@ pub fn build(
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
     drop(placed.constraints);
-    let opened = std::mem::take(&mut lattice.opened);
     let mut model = Model {
         spacing_m: spacing,
         gravity: input.scene.gravity_m_s2,
@@ -160,7 +158,6 @@ pub fn build(
 
     progress("comparing with the input", 0.9);
     let overlap = rays.compare(&model, &faces);
-    drop(rays);
     let (regions, strays) = compare::regions(&compare::Compared {
         model: &model,
         around: &around,
@@ -174,7 +171,7 @@ pub fn build(
     collector.add_strays(&strays);
     let names: Vec<String> = regions.iter().map(|r| r.name.clone()).collect();
     input_check::hanging(&model, &mut warnings);
-    let gaps = gaps::reports(&model, &opened);
+    let gaps = gaps::reports(&model, &lattice.opened);
     let figures = figures(&model, &faces, &names);
     let mut report = BuildReport {
         nodes: model.nodes.len(),
