@@ -39,7 +39,7 @@ A scene names closed surfaces, or the labels of a segmentation. Surfaces are loo
 
   [material.fat]                      # optional: changes a built-in material or adds one
   young_kpa = 10.0
-  poisson = 0.25                      # 0.25 (springs alone) to 0.49
+  poisson = 0.45                      # 0.25 (springs alone) to 0.49; soft tissue has 0.45
   stiffening = 0.0                    # b of F = k l0 (exp(b e) - 1)/b over the strain e; 0: linear
   fibre_ratio = 1.0                   # stiffness along the fibres over that across
   fibres = \"long\"                     # along the region's long axis, or [x, y, z]

@@ -12,6 +12,7 @@ import json
 import sys
 
 import meshio
+import mujoco
 import nibabel
 import numpy
 import scipy
@@ -20,7 +21,7 @@ import trimesh
 
 
 def versions():
-    modules = (meshio, trimesh, nibabel, numpy, scipy, skfem)
+    modules = (meshio, mujoco, trimesh, nibabel, numpy, scipy, skfem)
     return {module.__name__: module.__version__ for module in modules}
 
 

@@ -34,8 +34,8 @@ macro_rules! experiments {
 
 /// All experiments in run order.
 pub const ALL: &[Experiment] = experiments! {
-    "validate", 20.0, [Fine], Work::Experiment(validate::run),
-        "the tissue beside closed forms, published solutions and finite elements: error per case";
+    "validate", 32.0, [Fine], Work::Experiment(validate::run),
+        "the tissue beside closed forms, published solutions, finite elements and a measured phantom: error per case";
     "soft-hard", 1.0, [], Work::Experiment(soft_hard::run),
         "a ball on soft tissue, on stiff tissue and between them (Lin 2007, fig 4.8)";
     "friction", 6.3, [], Work::Experiment(friction::run),

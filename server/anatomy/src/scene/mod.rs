@@ -55,7 +55,7 @@
 //! | key | meaning | bounds | new material |
 //! | --- | --- | --- | --- |
 //! | `young_kpa` | Young's modulus in kPa; with fibres, across them | 0.001 to 2e9 | needed |
-//! | `poisson` | Poisson's ratio; a quarter is springs alone | 0.25 to 0.49 | 0.25 |
+//! | `poisson` | Poisson's ratio; a quarter is springs alone, soft tissue has 0.45 | 0.25 to 0.49 | 0.25 |
 //! | `stiffening` | b of the spring curve F = k l0 (exp(b e) - 1)/b over the strain e; 0 is a line | 0 to 50 | 0 |
 //! | `fibre_ratio` | Young's modulus along the fibres over the one across | 0.1 to 20 | 1 |
 //! | `fibres` | their direction: `"long"` (the region's long axis) or `[x, y, z]` | | `"long"` |

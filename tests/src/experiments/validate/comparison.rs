@@ -60,30 +60,12 @@ impl Case {
         format!("{}, Poisson's ratio {}", self.name, self.poisson)
     }
 
-    /// The order of convergence and the extrapolated value of the last three runs, m = m0 + c h^p. `None` if they do not
-    /// converge like that.
+    /// The order of convergence and the extrapolated value of the last three runs. `None` if they do not converge.
     fn richardson(&self) -> Option<[f64; 2]> {
-        let [a, b, c] = self.runs.last_chunk()?;
-        let share = (a.measured - b.measured) / (b.measured - c.measured);
-        let drop = |p: f64| {
-            let [a, b, c] = [a, b, c].map(|run| (run.spacing_m / a.spacing_m).powf(p));
-            (a - b) / (b - c)
-        };
-        let [mut low, mut high] = ORDERS;
-        // The share of the first difference grows with the order.
-        if !(drop(low)..drop(high)).contains(&share) {
-            return None;
-        }
-        for _ in 0..50 {
-            let middle = 0.5 * (low + high);
-            if drop(middle) < share {
-                low = middle;
-            } else {
-                high = middle;
-            }
-        }
-        let ratio = (b.spacing_m / c.spacing_m).powf(low);
-        Some([low, c.measured + (c.measured - b.measured) / (ratio - 1.0)])
+        let runs: &[Run; 3] = self.runs.last_chunk()?;
+        extrapolated(std::array::from_fn(|i| {
+            (runs[i].spacing_m, runs[i].measured)
+        }))
     }
 
     /// The reason why the finest run misses the limit.
@@ -132,6 +114,32 @@ impl Case {
             "runs": runs.collect::<Vec<_>>(),
         })
     }
+}
+
+/// Order of convergence p and limit m0 of three values of (spacing, m), the coarsest first: m = m0 + c h^p. `None` if
+/// they do not converge like that.
+pub(super) fn extrapolated(points: [(f64, f64); 3]) -> Option<[f64; 2]> {
+    let [a, b, c] = points;
+    let share = (a.1 - b.1) / (b.1 - c.1);
+    let drop = |p: f64| {
+        let [a, b, c] = points.map(|point| (point.0 / a.0).powf(p));
+        (a - b) / (b - c)
+    };
+    let [mut low, mut high] = ORDERS;
+    // The share of the first difference grows with the order.
+    if !(drop(low)..drop(high)).contains(&share) {
+        return None;
+    }
+    for _ in 0..50 {
+        let middle = 0.5 * (low + high);
+        if drop(middle) < share {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    let ratio = (b.0 / c.0).powf(low);
+    Some([low, c.1 + (c.1 - b.1) / (ratio - 1.0)])
 }
 
 /// A curve of the finest specimen beside the reference.
