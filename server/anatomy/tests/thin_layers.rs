@@ -12,6 +12,8 @@ use shapes::{ball, cuboid, placed, scene};
 const SPACING: f64 = 4.0;
 /// Radius of a ball or half the side of a box, in m.
 const SIZE: f64 = 0.04;
+/// Sizes of the same, in m, that put walls along the lattice on its planes, in the middle of cells and between.
+const SIZES: [f64; 4] = [0.04, 0.0405, 0.041, 0.0417];
 
 /// Euler angles of the layers of boxes: oblique, and across the body diagonal of the lattice.
 const TURNS: [[f64; 3]; 2] = [
@@ -20,7 +22,7 @@ const TURNS: [[f64; 3]; 2] = [
 ];
 
 /// A body around a core, apart by `thickness` spacings. With `within` the layer lies in a third tissue.
-fn layer(turn: Option<[f64; 3]>, within: bool, thickness: f64) -> SceneInput {
+fn layer(turn: Option<[f64; 3]>, outer: f64, within: bool, thickness: f64) -> SceneInput {
     let at = Vec3::new(0.37, 0.53, 0.71) * 1e-3;
     let body = |size: f64| -> Surface {
         match turn {
@@ -28,10 +30,10 @@ fn layer(turn: Option<[f64; 3]>, within: bool, thickness: f64) -> SceneInput {
             Some(turn) => placed(cuboid(-Vec3::repeat(size), Vec3::repeat(size)), turn, at),
         }
     };
-    let core = SIZE - thickness * SPACING * 1e-3;
-    let mut surfaces = vec![body(SIZE), body(core)];
+    let core = outer - thickness * SPACING * 1e-3;
+    let mut surfaces = vec![body(outer), body(core)];
     if within {
-        surfaces.insert(0, body(SIZE + 0.012));
+        surfaces.insert(0, body(outer + 0.012));
     }
     scene(&format!("{SPACING}"), &surfaces).unwrap()
 }
@@ -58,13 +60,37 @@ fn layer_down_to_half_a_spacing_keeps_its_place() {
             (false, 1.0, 0.96),
             (true, 1.0, 0.96),
         ] {
-            let report = built(&layer(turn, within, thickness));
-            let own = own(&report);
             let case = format!("{turn:?}, within {within}, {thickness} spacings");
-            assert!(own.dice > least, "{case}: {}", own.dice);
-            let error = own.volume_mm3 / own.input_volume_mm3 - 1.0;
-            assert!(error.abs() < 1e-3, "{case}: {error}");
-            assert_eq!(own.components, 1, "{case}");
+            keeps_its_place(&layer(turn, SIZE, within, thickness), least, &case);
         }
+    }
+}
+
+fn keeps_its_place(input: &SceneInput, least: f64, case: &str) {
+    let report = built(input);
+    let own = own(&report);
+    assert!(own.dice > least, "{case}: {}", own.dice);
+    let error = own.volume_mm3 / own.input_volume_mm3 - 1.0;
+    assert!(error.abs() < 1e-3, "{case}: {error}");
+    assert_eq!(own.components, 1, "{case}");
+}
+
+#[test]
+fn layer_along_the_lattice_keeps_its_place_between_its_planes() {
+    for size in SIZES {
+        for (within, thickness) in [(false, 0.5), (true, 0.5), (false, 0.75), (true, 1.0)] {
+            let case = format!("{size} m, within {within}, {thickness} spacings");
+            let input = layer(Some([0.0; 3]), size, within, thickness);
+            keeps_its_place(&input, 0.95, &case);
+        }
+    }
+}
+
+#[test]
+fn layer_has_no_edge_at_which_the_regions_on_its_sides_meet() {
+    // Shells of these sizes have steps at which the cells of the two sides share an edge.
+    for size in [0.0221, 0.0222, 0.023] {
+        let case = format!("{size} m");
+        keeps_its_place(&layer(None, size, true, 0.75), 0.94, &case);
     }
 }

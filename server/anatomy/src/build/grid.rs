@@ -45,8 +45,12 @@ impl Grid {
 
     /// Middle of the grid in m.
     pub(super) fn middle(&self) -> Vec3 {
-        let half = self.cells.map(|n| n as f64 * self.spacing / 2.0);
-        self.origin + Vec3::from(half)
+        self.origin + self.extent() / 2.0
+    }
+
+    /// Lengths of the sides in m.
+    pub(super) fn extent(&self) -> Vec3 {
+        Vec3::from(self.cells.map(|n| n as f64)) * self.spacing
     }
 
     /// Number of grid points along each axis.

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::folds::Folds;
 use super::gaps::{Parts, Run};
 use super::grid::Grid;
+use super::overlap::InputRays;
 use super::rays::{Hits, Rays, cast};
 use super::strands::{NOTHING, RAYS_PER_CELL, Strand, Strands};
 use super::walls::{Share, Walls, contact};
@@ -207,23 +208,18 @@ fn decide(part: &[f64]) -> Decision {
 
 /// Volume in m³ of each region with overlaps resolved, and the folds of surfaces that have some.
 ///
-/// The volume of each whole surface is exact (divergence theorem) unless it is folded. The fraction that later
-/// regions take is measured along rays of all three directions. It is a ratio to the same rays' measure of the
-/// whole, so that the sampling error of flat ends and rims cancels. The same rays give `walls` the regions that
-/// touch and where.
+/// The volume of each whole surface is exact (divergence theorem) unless it is folded. `rays` give the part that no later
+/// region takes, measured as a ratio to the same rays' measure of the whole, so that the sampling error of flat ends
+/// and rims cancels. Rays of three directions along the lattice give `walls` the regions that touch and where.
 pub(super) fn resolved_volumes(
     grid: &Grid,
     surfaces: &[&Surface],
+    rays: &InputRays,
     walls: &mut Walls,
 ) -> (Vec<f64>, Vec<(usize, Folds)>) {
-    let (mut kept, mut folded) = (vec![0.0; surfaces.len()], 0_u64);
-    for axis in 0..3 {
-        let (parts, found) = kept_along(grid, surfaces, axis, walls);
-        for (kept, part) in kept.iter_mut().zip(parts) {
-            *kept += part;
-        }
-        folded |= found;
-    }
+    let folded = (0..3).fold(0_u64, |folded, axis| {
+        folded | contacts_along(grid, surfaces, axis, walls)
+    });
     let folds: Vec<(usize, Folds)> = (0..surfaces.len())
         .filter(|r| folded >> r & 1 == 1)
         .map(|r| (r, Folds::measure(surfaces[r], grid.spacing)))
@@ -232,18 +228,13 @@ pub(super) fn resolved_volumes(
         let own = folds.iter().find(|f| f.0 == r);
         own.map_or_else(|| surfaces[r].volume(), |(_, folds)| folds.volume)
     };
-    let volumes = (0..surfaces.len()).map(|r| volume(r) * kept[r] / 3.0);
+    let volumes = (0..surfaces.len()).map(|r| volume(r) * rays.kept(r));
     (volumes.collect(), folds)
 }
 
-/// Part of each region's rays along one axis that no later region covers, and the set of regions in which some
-/// ray finds another winding number than one.
-fn kept_along(
-    grid: &Grid,
-    surfaces: &[&Surface],
-    axis: usize,
-    walls: &mut Walls,
-) -> (Vec<f64>, u64) {
+/// Adds the contacts of regions along the rays of one axis to `walls`. Returns the set of regions in which some ray finds
+/// another winding number than one.
+fn contacts_along(grid: &Grid, surfaces: &[&Surface], axis: usize, walls: &mut Walls) -> u64 {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let step = grid.spacing / 2.0;
     let rays = Rays {
@@ -253,28 +244,20 @@ fn kept_along(
         count: [2 * grid.cells[u], 2 * grid.cells[v]],
     };
     let hits: Vec<Hits> = surfaces.iter().map(|s| cast(s, &rays)).collect();
-    // The rows are summed in order: the same sum on any number of threads.
     let rows: Vec<Row> = (0..rays.count[1])
         .into_par_iter()
         .map(|row| {
-            let mut found = Row {
-                sums: vec![[0.0; 2]; surfaces.len()],
-                ..Row::default()
-            };
+            let mut found = Row::default();
             let mut sweep = Sweep::default();
             for column in 0..rays.count[0] {
                 let ray = rays.index([column, row]);
                 for (region, hits) in hits.iter().enumerate() {
                     let mut once = true;
-                    let cancel = hits.windings(ray, |from, to, winding| {
-                        found.sums[region][0] += to - from;
-                        once &= winding == 1;
-                    });
+                    let cancel = hits.windings(ray, |_, _, winding| once &= winding == 1);
                     found.folded |= u64::from(!(once && cancel)) << region;
                 }
                 let mut marks = Marks::new(grid, axis, [column / 2, row / 2]);
                 sweep.resolve(&hits, ray, |region, from, to| {
-                    found.sums[region][1] += to - from;
                     marks.pass(region, from, to, &mut found.contacts);
                 });
                 marks.leave(&mut found.contacts);
@@ -284,25 +267,16 @@ fn kept_along(
             found
         })
         .collect();
-    let kept = (0..surfaces.len())
-        .map(|r| {
-            let sum = |which: usize| rows.iter().map(|row| row.sums[r][which]).sum::<f64>();
-            let whole = sum(0);
-            if whole > 0.0 { sum(1) / whole } else { 1.0 }
-        })
-        .collect();
     let folded = rows.iter().fold(0, |folded, row| folded | row.folded);
     for row in rows {
         walls.add_contacts(row.contacts);
     }
-    (kept, folded)
+    folded
 }
 
 /// Findings of the rays of one row.
 #[derive(Default)]
 struct Row {
-    /// For each region the length of its rays, and the part that no later region covers.
-    sums: Vec<[f64; 2]>,
     /// See [`contact`].
     contacts: Vec<u64>,
     /// Bit `r`: the winding number in region `r` is not one everywhere.

@@ -108,7 +108,8 @@ pub fn build(
     let query = inside::PointQuery::new(&surfaces, grid.middle(), spacing);
     input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
-    let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &mut walls);
+    let rays = overlap::InputRays::of(input, &grid, &surfaces);
+    let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &rays, &mut walls);
     let faulty = input_check::folds(input, &folds, &mut warnings);
     prefer_voxels(&mut input_volumes, input);
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
@@ -145,7 +146,6 @@ pub fn build(
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
     drop(placed.constraints);
-    let opened = std::mem::take(&mut lattice.opened);
     let mut model = Model {
         spacing_m: spacing,
         gravity: input.scene.gravity_m_s2,
@@ -157,7 +157,7 @@ pub fn build(
     model.resolve_fibres();
 
     progress("comparing with the input", 0.9);
-    let overlap = overlap::InputRays::of(input, &grid, &surfaces).compare(&model, &faces);
+    let overlap = rays.compare(&model, &faces);
     let (regions, strays) = compare::regions(&compare::Compared {
         model: &model,
         around: &around,
@@ -191,7 +191,7 @@ pub fn build(
         thin: collector.finish(&names),
         component_loss: component_loss::losses(&overlap.components, &names, &input.scene),
         contacts: contact_change::contacts(&grid, &samples, &faces, &model.nodes, &names),
-        gaps: gaps::reports(&model, &opened),
+        gaps: gaps::reports(&model, &lattice.opened),
         surface_faults: Vec::new(),
         surface_intersections: 0,
         topology_hash: figures.topology_hash,

@@ -100,6 +100,33 @@ impl Strands {
             .zip(self.parts[range].iter().copied())
     }
 
+    /// For each of the regions whose hits these strands come from, the part of its rays that no later region covers.
+    pub(super) fn kept(&self, hits: &[Hits]) -> Vec<f64> {
+        let [width, height] = self.size();
+        let rows: Vec<Vec<[f64; 2]>> = (0..height)
+            .into_par_iter()
+            .map(|v| {
+                let mut sums = vec![[0.0; 2]; hits.len()];
+                for u in 0..width {
+                    for (hits, sums) in hits.iter().zip(&mut sums) {
+                        hits.inside(u + width * v, |from, to| sums[0] += to - from);
+                    }
+                    for (strand, _) in self.of([u, v]) {
+                        sums[usize::from(strand.region)][1] += strand.to - strand.from;
+                    }
+                }
+                sums
+            })
+            .collect();
+        // Rows are summed in order: the same sum on any number of threads.
+        let sum = |r: usize, which: usize| rows.iter().map(|row| row[r][which]).sum::<f64>();
+        let kept = (0..hits.len()).map(|r| match sum(r, 0) {
+            whole if whole > 0.0 => sum(r, 1) / whole,
+            _ => 1.0,
+        });
+        kept.collect()
+    }
+
     /// Number of rays in a row, and of rows.
     pub(super) fn size(&self) -> [usize; 2] {
         [self.width, (self.start.len() - 1) / self.width.max(1)]

@@ -3,7 +3,8 @@
 //! A layer of about half a spacing rarely fills most of a cell. Where it runs oblique to the lattice, its cells
 //! become disconnected, and the regions on its two sides touch although they never do in the input. Such a
 //! *false* face is repaired by giving the layer one of the face's two cells. Its nodes are put onto the layer's
-//! two interfaces afterwards, which restores the true thickness.
+//! two interfaces afterwards, which restores the true thickness. Where the two regions meet in an edge only, its nodes
+//! could lie on one interface only, and the layer would have no thickness there; so it gets one of the two cells, too.
 //!
 //! Rays in three directions detect whether two regions touch in a cell.
 
@@ -175,6 +176,13 @@ impl Walls {
             for (cell, axis) in found {
                 given += usize::from(self.cure(grid, labels, cell, axis));
             }
+            let layers = (0..grid.cells[2] - 1).into_par_iter();
+            let pinched: Vec<[usize; 4]> = layers
+                .flat_map_iter(|k| self.pinched_edges(grid, labels, k))
+                .collect();
+            for cells in pinched {
+                given += usize::from(self.widen(grid, labels, cells));
+            }
             if given == before {
                 break;
             }
@@ -198,6 +206,58 @@ impl Walls {
             }
         }
         found
+    }
+
+    /// The edges of the cells of layer `k` at which two regions would meet that never touch: two cells across the edge
+    /// from each other, and the other two.
+    fn pinched_edges(&self, grid: &Grid, labels: &Labels, k: usize) -> Vec<[usize; 4]> {
+        let steps = steps(grid);
+        let mut found = Vec::new();
+        for j in 0..grid.cells[1] - 1 {
+            for i in 0..grid.cells[0] - 1 {
+                let cell = grid.cell_index([i, j, k]);
+                for [a, b] in [[0, 1], [1, 2], [2, 0]].map(|axes| axes.map(|a| steps[a])) {
+                    let around = [cell, cell + a + b, cell + a, cell + b];
+                    let turned = [around[2], around[3], around[0], around[1]];
+                    let pinched = [around, turned].into_iter();
+                    found.extend(pinched.filter(|cells| self.is_pinched(labels, *cells)));
+                }
+            }
+        }
+        found
+    }
+
+    /// Whether the first two of the cells around an edge belong to regions that touch in none of them.
+    fn is_pinched(&self, labels: &Labels, cells: [usize; 4]) -> bool {
+        let [a, b, c, d] = cells.map(|cell| labels.label[cell]);
+        a != b
+            && ![a, b].contains(&c)
+            && ![a, b].contains(&d)
+            && !cells.iter().any(|cell| self.touch(*cell, a, b))
+    }
+
+    /// Gives a layer that ends in an edge one of the two cells across this edge.
+    fn widen(&self, grid: &Grid, labels: &mut Labels, cells: [usize; 4]) -> bool {
+        if !self.is_pinched(labels, cells) {
+            return false;
+        }
+        let mut best: Option<(f64, usize, u8)> = None;
+        for layer in [cells[2], cells[3]].map(|c| labels.label[c]) {
+            for taken in [cells[0], cells[1]] {
+                let part = self.share(labels, taken, layer);
+                let fits = part > 0.0
+                    && !in_margin(grid, taken)
+                    && self.false_faces_won(grid, labels, taken, layer) <= 0;
+                if fits && best.as_ref().is_none_or(|b| part > b.0) {
+                    best = Some((part, taken, layer));
+                }
+            }
+        }
+        let Some((_, taken, layer)) = best else {
+            return false;
+        };
+        labels.fix_label(taken, layer);
+        true
     }
 
     /// Repairs the face across `axis` above a cell if it is still false and a layer lies there.

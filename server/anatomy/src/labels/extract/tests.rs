@@ -230,8 +230,9 @@ fn sheared_mirrored_and_anisotropic_voxels_keep_position_and_winding() {
 
 #[test]
 fn joining_fine_voxels_keeps_volumes() {
-    // 2 mm voxels; 6.1 mm allows blocks of three, and 63 of them leave no remainder, 64 do.
-    for size in [63, 64] {
+    // 2 mm voxels; 6.1 mm allows blocks of three, and 126 of them leave no remainder, 128 do. The rod is as thick as eight
+    // blocks.
+    for size in [126, 128] {
         let mut volume = nested(size);
         volume.to_world.linear[(2, 2)] = -2e-3;
         let bounds = volume.world_bounds();
@@ -272,6 +273,20 @@ fn joining_voxels_keeps_one_voxel_layers() {
     let path = Path::new("test.nii");
     let found = surfaces(&volume, path, &named, false, 9e-3).unwrap();
     found.iter().for_each(assert_volume);
+}
+
+#[test]
+fn layer_of_two_voxels_is_not_joined() {
+    // Its blocks would keep its volume, but not its place.
+    let volume = volume([24; 3], |[x, y, _]| match x + y {
+        0..20 => 2,
+        20..23 => 1,
+        _ => 0,
+    });
+    let named = regions(&[&[1], &[2]]);
+    let path = Path::new("test.nii");
+    let [apart, joined] = [0.0, 4.1e-3].map(|m| surfaces(&volume, path, &named, false, m).unwrap());
+    assert_eq!(apart, joined);
 }
 
 #[test]

@@ -13,10 +13,9 @@ pub(super) const OUTSIDE: u8 = 0;
 /// there, not the body, and the cut stays flat with a sharp rim.
 pub(super) const BEYOND: u8 = u8::MAX;
 
-/// Relative volume change of a region that is accepted when voxels are joined. Reason: the volume is restored
-/// by moving the boundary by a fraction of a voxel (a rod four voxels thick by an eighth of one). A region that
-/// loses more is a layer as thin as the voxels, which must be kept.
-const COARSENING_LOSS_MAX: f64 = 0.25;
+/// Least Dice coefficient of each region's voxels and its blocks for which voxels are joined. A region of 3 or 4 blocks
+/// has about as much; a thinner layer would lose more in its blocks than in its smooth surface.
+const JOINED_DICE_MIN: f64 = 0.95;
 /// Block size in voxels above which the size is halved after a failed attempt; below it decreases by one.
 const FACTOR_FINE: usize = 8;
 
@@ -69,7 +68,7 @@ impl Grid {
     }
 
     /// Joins blocks of voxels into one that belongs to the region with most of them, as long as no block is
-    /// longer than `finest_m` and every region roughly keeps its volume. Returns the number of voxels per
+    /// longer than `finest_m` and every region keeps its place ([`JOINED_DICE_MIN`]). Returns the number of voxels per
     /// block, too.
     pub(super) fn coarsened(self, finest_m: f64, regions: usize) -> (Self, usize) {
         let spacing = self.to_world.spacing_m();
@@ -80,11 +79,13 @@ impl Grid {
         while factors != [1; 3] {
             let coarse = self.joined(factors);
             let each: usize = factors.iter().product();
-            let keeps = |(old, new): (&u64, &u64)| {
-                let kept = (*new as f64) * each as f64 / (*old as f64);
-                (kept - 1.0).abs() <= COARSENING_LOSS_MAX
+            let common = self.common(&coarse, factors, regions);
+            let after = coarse.counts(regions);
+            let keeps = |r: usize| {
+                let both = before[r] as f64 + (after[r] * each as u64) as f64;
+                2.0 * common[r] as f64 >= JOINED_DICE_MIN * both
             };
-            if before.iter().zip(&coarse.counts(regions)).all(keeps) {
+            if (0..regions).all(keeps) {
                 return (coarse, each);
             }
             // Large blocks shrink faster: a spacing in the wrong unit would otherwise take one pass over all
@@ -145,6 +146,24 @@ impl Grid {
                 origin: self.to_world.world(&first),
             },
         }
+    }
+
+    /// Voxels of each region that lie in a block of the same region.
+    fn common(&self, coarse: &Self, factors: [usize; 3], regions: usize) -> Vec<u64> {
+        let inner = self.size.map(|n| n - 1);
+        let block = |a: usize, at: usize| ((at - 1) / factors[a] + 1).min(coarse.size[a] - 1);
+        let layers = (1..inner[2]).into_par_iter().map(|z| {
+            let mut common = [0; 256];
+            let (own, joined) = (self.layer(z), coarse.layer(block(2, z)));
+            for (y, x) in (1..inner[1]).flat_map(|y| (1..inner[0]).map(move |x| (y, x))) {
+                let region = own[x + self.size[0] * y];
+                let same = joined[block(0, x) + coarse.size[0] * block(1, y)] == region;
+                common[usize::from(region)] += u64::from(same);
+            }
+            common
+        });
+        let sum = |a: [u64; 256], b: [u64; 256]| std::array::from_fn(|r| a[r] + b[r]);
+        layers.reduce(|| [0; 256], sum)[1..=regions].to_vec()
     }
 
     /// The region with most voxels of a block; at equal numbers the later one, as in a scene.
