@@ -88,9 +88,13 @@ fn layer_along_the_lattice_keeps_its_place_between_its_planes() {
 
 #[test]
 fn layer_has_no_edge_at_which_the_regions_on_its_sides_meet() {
-    // Shells of these sizes have steps at which the cells of the two sides share an edge.
-    for size in [0.0221, 0.0222, 0.023] {
-        let case = format!("{size} m");
-        keeps_its_place(&layer(None, size, true, 0.75), 0.94, &case);
-    }
+    // The cells of the two sides of this layer of one spacing would share edges.
+    let at = Vec3::new(0.37, 0.21, 0.13) * 1e-3;
+    let body = |half: f64| {
+        let half = Vec3::repeat(half);
+        placed(cuboid(-half, half), TURNS[1], at)
+    };
+    let surfaces = [0.03, 0.022, 0.018].map(body);
+    let input = scene(&format!("{SPACING}"), &surfaces).unwrap();
+    keeps_its_place(&input, 0.95, "box");
 }
