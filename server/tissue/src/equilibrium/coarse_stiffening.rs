@@ -9,7 +9,8 @@
 //! ```
 //!
 //! where B and B₀ are the sums of the diagonal blocks of its nodes, now and at rest. The element stiffens along each
-//! axis like the tissue, and keeps its null space of translations. Its diagonal bound D becomes `C D Cᵀ`.
+//! axis like the tissue, and keeps its null space of translations. `C D Cᵀ` is added to its diagonal bound D, because coarser
+//! levels add bounds of `K' - K` to their own, and `C D Cᵀ - D` is none.
 
 use nalgebra::Matrix3;
 
@@ -135,7 +136,7 @@ impl Multigrid {
         });
         for (&point, bound) in corners.iter().zip(&own.bound) {
             let block = full(bound);
-            let m = c * block * c - block;
+            let m = c * block * c;
             let more = [m.m11, m.m22, m.m33, m.m12, m.m13, m.m23];
             grid.add_bound(point, &more, 1.0);
         }
