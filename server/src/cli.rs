@@ -35,7 +35,7 @@ A scene names closed surfaces, or the labels of a segmentation. Surfaces are loo
   distance_mm = 8.0                   # between its surfaces; two spacings unless given
   contact_mm2 = 10.0                  # contact of two regions that was created or removed
   component_mm3 = 1.0                 # components that were lost or joined, from this volume on
-  self_intersections = 0              # pairs of triangles of a surface that pass through each other
+  self_intersections = 0              # pairs of triangles of surfaces that pass through each other
 
   [material.fat]                      # optional: changes a built-in material or adds one
   young_kpa = 10.0

@@ -263,7 +263,7 @@ fn wounded_real_thigh_converges() {
     for (name, topology) in [("whole", whole), ("wounded", wounded)] {
         let mut tissue = Tissue::at_rest(topology);
         let tool = Tool::ball(1, beside + middle.axis * (radius - depth), radius);
-        let report = tissue.step(&[tool], Budget::new(1500, 1e-6));
+        let report = tissue.step(&[tool], Budget::new(300, 1e-6));
         println!(
             "{name}: residual {:.1e} after {} iterations",
             report.residual, report.iterations

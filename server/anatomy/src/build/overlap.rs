@@ -1,8 +1,8 @@
 //! Volume that the model and its input have in common, and the connected components of the input.
 //!
 //! Parallel rays run through both, and stretches of one region in both are counted: nine rays per cell column, in rows
-//! that are turned against the lattice, or rays along the rows of a label volume. The model is then measured against the voxels instead of the surface that was
-//! extracted from them. The distance of these rays is no whole fraction of a voxel, so that they meet the steps between
+//! that are turned against the lattice, or rays along the rows of a label volume. The model is then measured against the
+//! voxels instead of the surface that was extracted from them. The distance of these rays is no whole fraction of a voxel, so that they meet the steps between
 //! rows at all heights; rays in the middle of voxels would never see them. Components of labels are exact.
 
 use nalgebra::Matrix3;
@@ -122,7 +122,8 @@ impl InputRays {
     /// Rays along x, because the cells were chosen by rays along z. Their rows are turned about x.
     fn of_surfaces(grid: &Grid, surfaces: &[&Surface]) -> Self {
         let step = grid.spacing / RAYS_ACROSS as f64;
-        let (sine, cosine) = ROWS_SLOPE.atan().sin_cos();
+        let cosine = 1.0 / (1.0 + ROWS_SLOPE * ROWS_SLOPE).sqrt();
+        let sine = ROWS_SLOPE * cosine;
         let turn = Matrix3::new(1.0, 0.0, 0.0, 0.0, cosine, -sine, 0.0, sine, cosine);
         // Along y and z of the frame.
         let reach = [1, 2].map(|a| {

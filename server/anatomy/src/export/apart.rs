@@ -13,7 +13,7 @@ const HALF_GAP_M: f64 = 5e-6;
 const MARGIN_MM: f64 = 1e-3;
 /// Most rounds in which triangles are separated.
 const ROUNDS: usize = 40;
-/// Farthest move of a node, in spacings. Reason: beyond it the file would show another wound than the model has.
+/// Farthest further move of a node, in spacings. Reason: beyond it the file would show another wound than the model has.
 const MOVE_MAX: f64 = 0.02;
 /// Projections per node, and its longest offset in half gaps.
 const PROJECTIONS: usize = 20;
@@ -23,7 +23,7 @@ const PLACES_MAX: usize = 5;
 
 /// Deviations of an STL of the outer surface from the model. Readers of STL join equal points, and edges of four triangles
 /// would result, so the walls of closed wounds are moved apart by 0.01 mm. Triangles that pass through each other are
-/// separated while no node moves by more than 0.02 spacings. Deeper intersections, as those of the walls of wounds that
+/// separated while no node moves by more than 0.02 spacings. Deeper intersections, such as those of the walls of wounds that
 /// cross, stay and are listed.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct StlFigures {
@@ -38,7 +38,8 @@ pub struct StlFigures {
 /// The shape with outer nodes moved apart, into their own tissue.
 pub(super) fn apart(topology: &Topology, shape: &Shape) -> (Shape, StlFigures) {
     let triangles = &topology.boundary().triangles;
-    let mut apart = opened(topology, shape);
+    let opened = opened(topology, shape);
+    let mut apart = opened.clone();
     // In the precision of the file.
     let place = |apart: &Shape, node: u32| {
         let at = apart.position(topology, node) * 1e3;
@@ -46,9 +47,9 @@ pub(super) fn apart(topology: &Topology, shape: &Shape) -> (Shape, StlFigures) {
     };
     let side_mm = topology.model().spacing_m * 1e3;
     let find = |apart: &Shape| crossings(triangles, |n| place(apart, n), side_mm);
-    let moved_mm = |apart: &Shape, node: u32| {
+    let moved_mm = |from: &Shape, apart: &Shape, node: u32| {
         let node = node as usize;
-        (apart.displacement[node] - shape.displacement[node]).norm() * 1e3
+        (apart.displacement[node] - from.displacement[node]).norm() * 1e3
     };
     let mut crossing = find(&apart);
     for _ in 0..ROUNDS {
@@ -59,7 +60,7 @@ pub(super) fn apart(topology: &Topology, shape: &Shape) -> (Shape, StlFigures) {
         for (node, by) in separations(pairs, |n| place(&apart, n), MARGIN_MM) {
             let before = apart.displacement[node as usize];
             apart.displacement[node as usize] += by * 1e-3;
-            if moved_mm(&apart, node) > MOVE_MAX * side_mm {
+            if moved_mm(&opened, &apart, node) > MOVE_MAX * side_mm {
                 apart.displacement[node as usize] = before;
             }
         }
@@ -71,7 +72,9 @@ pub(super) fn apart(topology: &Topology, shape: &Shape) -> (Shape, StlFigures) {
     };
     let nodes = triangles.iter().flatten();
     let figures = StlFigures {
-        moved_max_mm: nodes.map(|n| moved_mm(&apart, *n)).fold(0.0, f64::max),
+        moved_max_mm: nodes
+            .map(|n| moved_mm(shape, &apart, *n))
+            .fold(0.0, f64::max),
         self_intersections: crossing.len(),
         places_mm: crossing.iter().take(PLACES_MAX).map(middle).collect(),
     };

@@ -28,7 +28,7 @@
 //! distance_mm = 8.0                # between its surfaces in model and input; two spacings unless given
 //! contact_mm2 = 10.0               # contact area of two regions that was created or removed
 //! component_mm3 = 1.0              # lost or merged components, from this volume on
-//! self_intersections = 0           # pairs of triangles of a surface that pass through each other
+//! self_intersections = 0           # pairs of triangles of surfaces that pass through each other
 //!
 //! [material.fat]                   # optional: changes a built-in material or adds a new one
 //! young_kpa = 10.0

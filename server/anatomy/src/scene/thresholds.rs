@@ -28,7 +28,7 @@ pub struct Thresholds {
     pub contact_mm2: f64,
     /// Volume in mm³ from which it warns of a component that was lost or merged.
     pub component_mm3: f64,
-    /// Number of pairs of triangles of a surface that pass through each other, above which it warns.
+    /// Number of pairs of triangles of a surface, or of two, that pass through each other, above which it warns.
     pub self_intersections: f64,
 }
 

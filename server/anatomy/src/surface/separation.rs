@@ -25,8 +25,7 @@ pub(crate) fn separations(
         .collect()
 }
 
-/// Steps of the corners of two triangles to their own sides of a plane, at most the overlap long and at least
-/// `margin` beyond it. Of the directions of the separating axis theorem (the normals, and the products of two edges), the
+/// Steps of the corners of two triangles that end `margin` beyond a plane, on their own sides. Of the directions of the separating axis theorem (the normals, and the products of two edges), the
 /// plane has the one in which the triangles overlap least. A common corner lies in the plane and stays; with two common
 /// corners there is no step.
 fn separation(
@@ -35,7 +34,8 @@ fn separation(
     margin: f64,
 ) -> Vec<(u32, Vec3)> {
     let places = triangles.map(|t| t.map(&place));
-    let [a, b] = places.map(|[p, q, r]| [q - p, r - q, p - r].map(|e| e.normalize()));
+    let [a, b] = places
+        .map(|[p, q, r]| [q - p, r - q, p - r].map(|e| e.try_normalize(0.0).unwrap_or_default()));
     let crossed = a.iter().flat_map(|p| b.iter().map(move |q| p.cross(q)));
     let normals = [a, b].map(|edges| edges[0].cross(&edges[1]));
     let axes = normals.into_iter().chain(crossed);

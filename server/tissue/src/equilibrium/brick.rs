@@ -251,7 +251,7 @@ impl Draft {
             let det = rest_determinant(&corners);
             if elastic.bulk_pa > 0.0 && det > 0.0 {
                 let first = CORNER[position][0];
-                bulk[first] = (elastic.bulk_pa * topology.volume(cell)) as f32;
+                bulk[first] = (elastic.bulk_pa * topology.volume(cell).max(0.0)) as f32;
                 per_volume[first] = (1.0 / det.max(LENGTH_FLOOR * spacing.powi(3))) as f32;
             }
         }

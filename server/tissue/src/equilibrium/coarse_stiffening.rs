@@ -9,8 +9,8 @@
 //! ```
 //!
 //! where B and B₀ are the sums of the diagonal blocks of its nodes, now and at rest. The element stiffens along each
-//! axis like the tissue, and keeps its null space of translations. `C D Cᵀ` is added to its diagonal bound D, because coarser
-//! levels add bounds of `K' - K` to their own, and `C D Cᵀ - D` is none.
+//! axis like the tissue, and keeps its null space of translations. `C D Cᵀ` is added to its diagonal bound D: coarser levels
+//! add bounds of `K' - K` to their own, and `C D Cᵀ - D` is not such a bound.
 
 use nalgebra::Matrix3;
 

@@ -18,7 +18,7 @@ const HALF: usize = 4;
 /// Numbers of cells, behind and before zeros.
 type Cells = [f32; LEAD + SPAN];
 
-/// Subtracts the forces of the volume term in N.
+/// Adds the forces of the volume term in N.
 #[inline(always)]
 pub(super) fn volume_forces<S: Simd>(
     simd: S,

@@ -44,8 +44,8 @@ pub(super) fn built_in(name: &str) -> Option<Material> {
     })
 }
 
-/// Poisson's ratio of soft tissue and rubber. Sources give 0.45 to 0.5; the solver of a hand keeps its time up to 0.47 and its
-/// accuracy not at 0.49 (DECISIONS.md). An indenter on a half-space is 5 % softer than at 0.5: its force follows
+/// Poisson's ratio of soft tissue and rubber. Sources give 0.45 to 0.5. Quick steps keep their time up to 0.47; at 0.49 forces
+/// are 15 % off (DECISIONS.md). An indenter on a half-space is 6 % softer than at 0.5: its force follows
 /// E/(1 - ν²). A thin layer between bone and tool is softer by more.
 const NEARLY_INCOMPRESSIBLE: f64 = 0.45;
 

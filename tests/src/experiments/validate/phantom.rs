@@ -246,9 +246,14 @@ pub(super) fn compressed() -> Result<Comparison, String> {
         row["poisson"].as_f64() == Some(INCOMPRESSIBLE) && row["ok"].as_bool() == Some(false)
     });
     let missed = missed.map(|row| {
+        let text = |key: &str| row[key].as_str().unwrap_or_default().to_owned();
+        let number = |key: &str| row[key].as_f64().unwrap_or(f64::NAN);
         format!(
             "phantom at {}, {}: deviation of {:.2} mm (rms), scatter {:.2} mm",
-            row["compression"], row["displacement"], row["rms_mm"], row["scatter_mm"]
+            text("compression"),
+            text("displacement"),
+            number("rms_mm"),
+            number("scatter_mm")
         )
     });
     Ok(Comparison {
