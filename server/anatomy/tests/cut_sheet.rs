@@ -30,7 +30,7 @@ fn check_models(models: &[(&str, SceneInput, u64)]) {
         let uncut = Topology::new(Arc::new(model));
         let found = [
             check(&uncut, count(*strokes), None),
-            check(&uncut, count(strokes.div_ceil(20)), Some(2e-3)),
+            check(&uncut, count(strokes.div_ceil(5)), Some(2e-3)),
             check_crossings(&uncut, count(strokes.div_ceil(4))),
         ];
         for (tally, found) in tallies.iter_mut().zip(found) {
