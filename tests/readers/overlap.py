@@ -16,7 +16,7 @@ import numpy
 import scipy.ndimage
 import trimesh
 
-LINES = 800
+LINES = 12800
 STEP_MM = 0.2
 COMPONENTS = 40
 POINTS = 60
