@@ -154,6 +154,19 @@ fn trimesh_reads_closed_surfaces_of_equal_volume() {
     );
 }
 
+/// Two strokes that lean against each other and cross in the depth, where their walls intersect.
+const LEANING: &str = r#"
+format = "palpate-strokes/1"
+[[stroke]]
+points_mm = [[-28.0, 67.6, 97.2], [-14.0, 71.8, 98.6], [0.0, 73.2, 100.0], [14.0, 71.8, 101.4], [28.0, 67.6, 102.8]]
+depth_mm = 25.0
+direction = [0.05, -1.0, -0.5]
+[[stroke]]
+points_mm = [[4.1, 73.1, 72.1], [2.7, 73.1, 86.1], [1.3, 73.2, 100.0], [-0.1, 73.2, 113.9], [-1.5, 73.2, 127.9]]
+depth_mm = 25.0
+direction = [-0.5, -1.0, -0.05]
+"#;
+
 #[test]
 fn cut_surface_is_watertight_and_has_the_reported_intersections() {
     if readers("versions", &[]).is_none() {
@@ -161,28 +174,39 @@ fn cut_surface_is_watertight_and_has_the_reported_intersections() {
     }
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name).display().to_string();
-    let strokes = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/strokes.toml");
-    let report = server(&[
-        "cut",
-        "thigh",
-        "--strokes",
-        &strokes.display().to_string(),
-        "-o",
-        &path("m.palp"),
-        "--stl",
-        &path("outer.stl"),
-        "--json",
-    ]);
-    let Some(surfaces) = readers("stl", &[&dir.path().join("outer.stl")]) else {
-        return;
-    };
-    let outer = &surfaces["outer.stl"];
-    assert_eq!(outer["watertight"], true, "{outer}");
-    assert_eq!(outer["wound_alike"], true, "{outer}");
-    assert_eq!(
-        outer["self_intersections"],
-        report["stl"]["self_intersections"]
-    );
+    std::fs::write(path("leaning.toml"), LEANING).unwrap();
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/strokes.toml");
+    for (strokes, intersects) in [
+        (example.display().to_string(), false),
+        (path("leaning.toml"), true),
+    ] {
+        let [model, stl] = ["m.palp", "outer.stl"].map(path);
+        let report = server(&[
+            "cut",
+            "thigh",
+            "--strokes",
+            &strokes,
+            "-o",
+            &model,
+            "--stl",
+            &stl,
+            "--json",
+        ]);
+        let Some(surfaces) = readers("stl", &[Path::new(&stl)]) else {
+            return;
+        };
+        let (outer, figures) = (&surfaces["outer.stl"], &report["stl"]);
+        assert_eq!(outer["watertight"], true, "{outer}");
+        assert_eq!(outer["wound_alike"], true, "{outer}");
+        assert_eq!(outer["self_intersections"], figures["self_intersections"]);
+        assert_eq!(number(&figures["self_intersections"]) > 0.0, intersects);
+        assert_eq!(
+            figures["places_mm"].as_array().unwrap().is_empty(),
+            !intersects
+        );
+        // 0.02 of 5 mm, and the gap between the walls of a closed wound.
+        assert!(number(&figures["moved_max_mm"]) < 0.13, "{figures}");
+    }
 }
 
 #[test]

@@ -2,8 +2,9 @@
 //!
 //! Parallel rays run through both, and stretches of one region in both are counted: nine rays per cell column, in rows
 //! that are turned against the lattice, or rays along the rows of a label volume. The model is then measured against the
-//! voxels instead of the surface that was extracted from them. The distance of these rays is no whole fraction of a voxel, so that they meet the steps between
-//! rows at all heights; rays in the middle of voxels would never see them. Components of labels are exact.
+//! voxels instead of the surface that was extracted from them. The distance of these rays is no whole fraction of a voxel, so
+//! that they meet the steps between rows at all heights; rays in the middle of voxels would never see them. Components of
+//! labels are exact.
 
 use nalgebra::Matrix3;
 use palpate_tissue::{Model, RegionId, Vec3};

@@ -25,9 +25,9 @@ pub(crate) fn separations(
         .collect()
 }
 
-/// Steps of the corners of two triangles that end `margin` beyond a plane, on their own sides. Of the directions of the separating axis theorem (the normals, and the products of two edges), the
-/// plane has the one in which the triangles overlap least. A common corner lies in the plane and stays; with two common
-/// corners there is no step.
+/// Steps of the corners of two triangles that end `margin` beyond a plane, on their own sides. Of the directions of the
+/// separating axis theorem (the normals, and the products of two edges), the plane has the one in which the triangles
+/// overlap least. A common corner lies in the plane and stays; with two common corners there is no step.
 fn separation(
     triangles: [[u32; 3]; 2],
     place: impl Fn(u32) -> Vec3,

@@ -165,10 +165,70 @@ fn root(m: &[f64; 6]) -> Option<[f64; 6]> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use std::sync::Arc;
+
     use proptest::prelude::*;
+    use pulp::Scalar;
+
+    use super::super::coarse_level::{CoarseLevel, apply};
+    use super::super::hierarchy::Level;
+    use super::super::quad::{Quad, ZERO, plus};
+    use super::*;
+    use crate::{Material, Topology, block};
+
+    /// Largest eigenvalue of a level with its stiffened elements, scaled by its diagonal bounds.
+    fn largest(level: &Level, grid: &CoarseLevel) -> f32 {
+        let norm = |x: &[Quad]| x.as_flattened().iter().map(|v| v * v).sum::<f32>().sqrt();
+        let number = |p: usize, k: usize| ((p * k + k) % 29) as f32 / 29.0 - 0.4;
+        let start = |p| [number(p, 37), number(p, 23), number(p, 11), 0.0];
+        let mut x: Vec<Quad> = (0..level.points()).map(start).collect();
+        let mut value = 0.0;
+        for _ in 0..50 {
+            let mut forces = vec![ZERO; x.len()];
+            for element in 0..level.corners.len() as u32 {
+                let (corners, own) = level.element(element);
+                let place = grid.stiffness_of[element as usize] as usize;
+                let product = match grid.stiffened_elements.get(place) {
+                    Some(stiffened) => stiffened.k.multiply(Scalar::new(), corners, &x),
+                    None => own.k.multiply(Scalar::new(), corners, &x),
+                };
+                for (c, &point) in corners.iter().enumerate() {
+                    let force = &mut forces[point as usize];
+                    *force = plus(force, 1.0, &product.corner(c));
+                }
+            }
+            let by = |(inverse, force): (&[f32; 6], &Quad)| apply(inverse, force);
+            let next: Vec<Quad> = grid.inverse.iter().zip(&forces).map(by).collect();
+            value = norm(&next) / norm(&x);
+            x = next.iter().map(|v| v.map(|v| v / norm(&next))).collect();
+        }
+        value
+    }
 
     proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn bounds_of_all_levels_hold_with_hardened_elements(
+            axes in prop::array::uniform3(0.3..8.0_f32),
+            turn in prop::array::uniform3(-3.0..3.0_f32),
+            every in 1..5_usize,
+        ) {
+            let material = Material { poisson: 0.45, ..Material::default() };
+            let topology = Topology::new(Arc::new(block([14, 12, 10], 4e-3, &material, 1)));
+            let hierarchy = Hierarchy::new(&topology);
+            let mut coarse = Multigrid::new(&hierarchy);
+            let r = nalgebra::Rotation3::new(turn.into()).into_inner();
+            let c = r * Matrix3::from_diagonal(&axes.into()) * r.transpose();
+            for element in (0..hierarchy.levels[0].corners.len() as u32).step_by(every) {
+                coarse.harden(&hierarchy, element, &c);
+            }
+            coarse.propagate_stiffness(&hierarchy);
+            for (l, (level, grid)) in hierarchy.levels.iter().zip(&coarse.grids).enumerate() {
+                let largest = largest(level, grid);
+                prop_assert!(largest < 1.05, "level {}: {largest}", l + 1);
+            }
+        }
+
         #[test]
         fn square_of_the_root_is_the_matrix(
             axes in prop::array::uniform3(0.2..60.0f64),

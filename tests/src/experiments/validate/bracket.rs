@@ -6,7 +6,7 @@
 use palpate_anatomy::Surface;
 use palpate_tissue::Vec3;
 
-use super::comparison::{Case, extrapolated};
+use super::comparison::{Case, limits};
 use super::specimen::{Specimen, YOUNG_PA, built};
 
 /// Height, reach, width and thickness in m: the column and the arm are square.
@@ -40,14 +40,6 @@ const FINITE_ELEMENTS_N: [(f64, [[f64; 2]; 3]); 2] = [
     ),
 ];
 
-/// Forces down and along the arm in N, extrapolated to small elements.
-fn limits(meshes: [[f64; 2]; 3]) -> [f64; 2] {
-    [0, 1].map(|part| {
-        let points = [0, 1, 2].map(|i| (1.0 / ELEMENTS[i], meshes[i][part]));
-        extrapolated(points).map_or(f64::NAN, |found| found[1])
-    })
-}
-
 /// A box from one corner to the other.
 fn cuboid(low: Vec3, high: Vec3) -> Surface {
     let corner = |c: usize| Vec3::from_fn(|a, _| if c >> a & 1 == 1 { high[a] } else { low[a] });
@@ -76,7 +68,7 @@ fn parts() -> Vec<(Surface, f64)> {
 
 pub(super) fn push(is_fine: bool, poisson: f64) -> Result<[Case; 2], String> {
     let reference = FINITE_ELEMENTS_N.iter().find(|r| r.0 == poisson);
-    let expected = reference.map_or([f64::NAN; 2], |r| limits(r.1));
+    let expected = reference.map_or([f64::NAN; 2], |r| limits(ELEMENTS, r.1));
     let case = |quantity, expected| Case {
         name: "bracket of two materials",
         poisson,
@@ -115,21 +107,11 @@ pub(super) fn push(is_fine: bool, poisson: f64) -> Result<[Case; 2], String> {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-    use std::process::Command;
-
+    use super::super::reader::forces_of;
     use super::*;
 
-    /// `PALPATE_PYTHON` names a Python with scikit-fem; see `tests/tests/readers.rs`.
     #[test]
-    #[allow(clippy::print_stdout)]
     fn finite_elements_of_another_program_give_the_reference_forces() {
-        let Some(python) = std::env::var_os("PALPATE_PYTHON") else {
-            println!("PALPATE_PYTHON is not set: nothing was tested");
-            return;
-        };
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("readers/bracket.py");
-        // The coarsest mesh, for the time of the test.
         for (poisson, [forces, ..]) in FINITE_ELEMENTS_N {
             let numbers = [
                 HEIGHT_M,
@@ -140,14 +122,9 @@ mod tests {
                 YOUNG_PA,
                 poisson,
             ];
-            let out = Command::new(&python)
-                .arg(&script)
-                .args(numbers.map(|n| n.to_string()))
-                .output();
-            let out = out.unwrap();
-            let said = String::from_utf8_lossy(&out.stderr);
-            assert!(out.status.success(), "{said}");
-            let computed: [f64; 2] = serde_json::from_slice(&out.stdout).unwrap();
+            let Some(computed) = forces_of("bracket.py", &numbers) else {
+                return;
+            };
             for (computed, force) in computed.into_iter().zip(forces) {
                 assert!((computed / force - 1.0).abs() < 1e-4, "{computed} {force}");
             }

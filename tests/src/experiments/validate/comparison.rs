@@ -118,7 +118,7 @@ impl Case {
 
 /// Order of convergence p and limit m0 of three values of (spacing, m), the coarsest first: m = m0 + c h^p. `None` if
 /// they do not converge like that.
-pub(super) fn extrapolated(points: [(f64, f64); 3]) -> Option<[f64; 2]> {
+fn extrapolated(points: [(f64, f64); 3]) -> Option<[f64; 2]> {
     let [a, b, c] = points;
     let share = (a.1 - b.1) / (b.1 - c.1);
     let drop = |p: f64| {
@@ -140,6 +140,14 @@ pub(super) fn extrapolated(points: [(f64, f64); 3]) -> Option<[f64; 2]> {
     }
     let ratio = (b.0 / c.0).powf(low);
     Some([low, c.1 + (c.1 - b.1) / (ratio - 1.0)])
+}
+
+/// Two forces by finite elements, extrapolated from three meshes with these numbers of cells.
+pub(super) fn limits(cells: [f64; 3], meshes: [[f64; 2]; 3]) -> [f64; 2] {
+    [0, 1].map(|part| {
+        let points = [0, 1, 2].map(|i| (1.0 / cells[i], meshes[i][part]));
+        extrapolated(points).map_or(f64::NAN, |found| found[1])
+    })
 }
 
 /// A curve of the finest specimen beside the reference.

@@ -12,6 +12,8 @@ mod hollow_sphere;
 mod layer_theory;
 mod phantom;
 mod plates;
+#[cfg(test)]
+mod reader;
 mod shaft;
 mod specimen;
 

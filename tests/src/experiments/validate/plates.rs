@@ -6,7 +6,7 @@
 
 use palpate_tissue::{Vec3, block};
 
-use super::comparison::{Case, Curve, CurveSet, extrapolated};
+use super::comparison::{Case, Curve, CurveSet, limits};
 use super::specimen::{Specimen, material};
 
 const NAME: &str = "cube between glued plates";
@@ -37,17 +37,9 @@ const MUJOCO_N: [(f64, [[f64; 2]; 3]); 2] = [
     ),
 ];
 
-/// Forces down and aside in N, extrapolated to small tetrahedra.
-fn limits(meshes: [[f64; 2]; 3]) -> [f64; 2] {
-    [0, 1].map(|part| {
-        let points = [0, 1, 2].map(|i| (1.0 / MUJOCO_CELLS[i], meshes[i][part]));
-        extrapolated(points).map_or(f64::NAN, |found| found[1])
-    })
-}
-
 pub(super) fn glued(is_fine: bool, poisson: f64) -> Result<[Case; 2], String> {
     let meshes = MUJOCO_N.iter().find(|row| row.0 == poisson);
-    let expected = meshes.map_or([f64::NAN; 2], |row| limits(row.1));
+    let expected = meshes.map_or([f64::NAN; 2], |row| limits(MUJOCO_CELLS, row.1));
     let case = |quantity, expected| Case {
         name: NAME,
         poisson,
@@ -86,7 +78,7 @@ pub(super) fn glued(is_fine: bool, poisson: f64) -> Result<[Case; 2], String> {
 /// Force down in percent above the limit, of the tissue and of `MuJoCo`, over the cells along an edge.
 pub(super) fn curve(cases: &[Case]) -> Curve {
     let set = |(poisson, meshes): (f64, [[f64; 2]; 3])| {
-        let limit = limits(meshes)[0];
+        let limit = limits(MUJOCO_CELLS, meshes)[0];
         let above = |force: f64| 100.0 * (force / limit - 1.0);
         let own = cases.iter().find(|case| {
             case.name == NAME && case.poisson == poisson && case.quantity == QUANTITIES[0]
@@ -113,31 +105,17 @@ pub(super) fn curve(cases: &[Case]) -> Curve {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-    use std::process::Command;
-
+    use super::super::reader::forces_of;
     use super::super::specimen::YOUNG_PA;
     use super::*;
 
-    /// `PALPATE_PYTHON` names a Python with `MuJoCo`; see `tests/tests/readers.rs`.
     #[test]
-    #[allow(clippy::print_stdout)]
     fn mujoco_gives_the_reference_forces_of_the_coarsest_mesh() {
-        let Some(python) = std::env::var_os("PALPATE_PYTHON") else {
-            println!("PALPATE_PYTHON is not set: nothing was tested");
-            return;
-        };
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("readers/plates.py");
         for (poisson, meshes) in MUJOCO_N {
             let numbers = [SIDE_M, MOVE_M, MOVE_M, YOUNG_PA, poisson, MUJOCO_CELLS[0]];
-            let out = Command::new(&python)
-                .arg(&script)
-                .args(numbers.map(|n| n.to_string()))
-                .output();
-            let out = out.unwrap();
-            let said = String::from_utf8_lossy(&out.stderr);
-            assert!(out.status.success(), "{said}");
-            let computed: [f64; 2] = serde_json::from_slice(&out.stdout).unwrap();
+            let Some(computed) = forces_of("plates.py", &numbers) else {
+                return;
+            };
             for (computed, force) in computed.into_iter().zip(meshes[0]) {
                 assert!((computed / force - 1.0).abs() < 1e-4, "{computed} {force}");
             }
