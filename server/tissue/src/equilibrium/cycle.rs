@@ -6,6 +6,7 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use super::coarse_level::{CoarseLevel, Deferred, apply, follow_coarser};
+use super::effective_stiffness::Effective;
 use super::element::Matrix;
 use super::hierarchy::{Hierarchy, Level};
 use super::matrix::Corners;
@@ -64,9 +65,8 @@ pub(super) struct Multigrid {
     pub(super) pending: f32,
     /// Relative change of size up to which an element stays deferred.
     pub(super) strained: f32,
-    /// Stiffness of deferred elements relative to their matrix (inhomogeneous, homogeneous): a trilinear element is
-    /// stiffer than the tissue in it.
-    pub(super) slack: [f32; 2],
+    /// Whether deferred elements answer with their effective stiffness, instead of their matrix.
+    pub(super) is_effective: bool,
     /// Work of the correction on all deferred elements, eᵀKe, in N m.
     curve: f64,
     /// Elements visited.
@@ -85,7 +85,7 @@ impl Multigrid {
             arch: Arch::new(),
             pending: 1.0,
             strained: f32::INFINITY,
-            slack: [1.0; 2],
+            is_effective: false,
             curve: 0.0,
             visits: 0,
             follows: false,
@@ -179,9 +179,7 @@ impl Multigrid {
         let level_below = &hierarchy.levels[l - 1];
         for &child in level.children.row(element) {
             let by = to_child(&pending, level_below.octant[child as usize]);
-            let force = level_below.force(child, &by);
-            let slack = self.slack[usize::from(level_below.element(child).1.even)];
-            let force = force.map(|f| f.map(|v| slack * v));
+            let force = level_below.force(pulp::Scalar::new(), child, &by, self.is_effective);
             let waits = below.defer_displacement(level_below, child, &by, &force, 1.0);
             let limits =
                 deferral_limits(hierarchy, l - 1, [self.pending * threshold, self.strained]);
@@ -294,12 +292,12 @@ impl Multigrid {
     /// Computes the forces of the correction on elements that are not refined, for `work_along` and `commit`.
     pub(super) fn defer(&mut self, hierarchy: &Hierarchy) {
         self.curve = 0.0;
-        let slack = self.slack;
+        let is_effective = self.is_effective;
         for (grid, level) in self.grids.iter_mut().zip(&hierarchy.levels) {
             let defer = Defer {
                 level,
                 grid,
-                slack,
+                is_effective,
                 curve: &mut self.curve,
             };
             self.arch.dispatch(defer);
@@ -400,7 +398,7 @@ impl WithSimd for Smooth<'_> {
 struct Defer<'a> {
     level: &'a Level,
     grid: &'a mut CoarseLevel,
-    slack: [f32; 2],
+    is_effective: bool,
     curve: &'a mut f64,
 }
 
@@ -412,7 +410,7 @@ impl WithSimd for Defer<'_> {
         let Self {
             level,
             grid,
-            slack,
+            is_effective,
             curve,
         } = self;
         grid.deferred.clear();
@@ -420,12 +418,13 @@ impl WithSimd for Defer<'_> {
             if grid.refined.contains(element) {
                 continue;
             }
-            let (points, m) = level.element(element);
-            let force = m.k.multiply(simd, points, &grid.e).corners();
-            let slack = slack[usize::from(m.even)];
-            let force = force.map(|f| f.map(|v| slack * v));
-            for (&point, force) in points.iter().zip(&force) {
-                *curve += dot(&grid.e[point as usize], force);
+            let mut by = [ZERO; 8];
+            for (v, &point) in by.iter_mut().zip(&level.corners[element as usize]) {
+                *v = grid.e[point as usize];
+            }
+            let force = level.force(simd, element, &by, is_effective);
+            for (v, force) in by.iter().zip(&force) {
+                *curve += dot(v, force);
             }
             grid.deferred.push(Deferred { element, force });
         }
@@ -433,11 +432,15 @@ impl WithSimd for Defer<'_> {
 }
 
 impl Level {
-    /// Forces of an element for these corner displacements, in N.
-    fn force(&self, element: u32, by: &Corners) -> Corners {
-        let (_, m) = self.element(element);
-        m.k.multiply(pulp::Scalar::new(), &[0, 1, 2, 3, 4, 5, 6, 7], by)
-            .corners()
+    /// Forces of an element for these corner displacements, in N, by its effective stiffness or by its matrix.
+    #[inline(always)]
+    fn force<S: Simd>(&self, simd: S, element: u32, by: &Corners, is_effective: bool) -> Corners {
+        let answer = if is_effective {
+            self.effective[element as usize]
+        } else {
+            Effective::MATRIX
+        };
+        answer.force(simd, &self.element(element).1.k, by)
     }
 
     /// Points and matrix of an element.

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 
 use super::brick::{Brick, Draft, Form, LOCALS};
 use super::coarsen::{Coarse, Joints, Piece, coarsen, octant};
+use super::effective_stiffness::{Effective, EffectiveStiffness};
 use super::element::Matrix;
 use super::kinds::{Kinds, Parts};
 use super::prolongation::{FREE, Prolongation};
@@ -26,6 +27,9 @@ const LEVELS_MAX: usize = 8;
 const COARSEST_ELEMENTS: usize = 12;
 /// Bricks built per batch, so that temporary forms stay below some 30 MB.
 const BATCH: usize = 8192;
+
+/// Lattice coordinates of the elements of each level, in units of their own sides.
+pub(super) type LevelPlaces = Vec<Vec<[i32; 3]>>;
 
 /// Rows of numbers.
 pub(super) type Table = Rows<u32>;
@@ -50,6 +54,8 @@ pub(super) struct Level {
     pub(super) around: Table,
     /// Diagonal bound of each point: the sum of its elements' bounds.
     pub(super) bound: Vec<[f32; 6]>,
+    /// Answer of each element when it is deferred.
+    pub(super) effective: Vec<Effective>,
 }
 
 impl Level {
@@ -131,14 +137,32 @@ impl Hierarchy {
             reserve(&mut level.parent);
             reserve(&mut level.octant);
             reserve(&mut level.bound);
+            reserve(&mut level.effective);
             level.children.reserve();
             level.around.reserve();
             level.prolongation.reserve();
         }
     }
 
-    /// Builds the hierarchy of a topology.
+    /// Builds the hierarchy of a topology. The first one of a model also measures its effective stiffness.
     pub(super) fn new(topology: &Topology) -> Self {
+        let (mut hierarchy, places) = Self::build(topology);
+        let effective = topology.effective_stiffness.get_or_init(|| {
+            if topology.version() == 0 {
+                return EffectiveStiffness::of(topology, &hierarchy, &places);
+            }
+            let uncut = Topology::new(Arc::clone(topology.model()));
+            let (hierarchy, places) = Self::build(&uncut);
+            EffectiveStiffness::of(&uncut, &hierarchy, &places)
+        });
+        for (l, (level, places)) in hierarchy.levels.iter_mut().zip(&places).enumerate() {
+            level.effective = effective.at(l, places);
+        }
+        hierarchy
+    }
+
+    /// Builds the hierarchy, in which deferred elements answer by their matrices, and the places of its elements.
+    fn build(topology: &Topology) -> (Self, LevelPlaces) {
         let cells = pieces_of(topology);
         let coarse = coarsen(&cells, topology.node_count(), |cell, axis, list| {
             joined(topology, cell, axis, list);
@@ -182,11 +206,12 @@ impl Hierarchy {
                 .iter()
                 .any(|r| r.material.bottoms_out),
         };
-        hierarchy.add_levels(topology, coarse, &mut kinds);
-        hierarchy
+        let places = hierarchy.add_levels(topology, coarse, &mut kinds);
+        (hierarchy, places)
     }
 
-    fn add_levels(&mut self, topology: &Topology, first: Coarse, kinds: &mut Kinds) {
+    fn add_levels(&mut self, topology: &Topology, first: Coarse, kinds: &mut Kinds) -> LevelPlaces {
+        let mut places = LevelPlaces::new();
         let mut children = Table::new(
             first.pieces.len(),
             (0..self.bricks.len()).map(|b| (self.element_of[b], b as u32)),
@@ -214,7 +239,8 @@ impl Hierarchy {
             let matrices = kinds.levels[l].matrices.clone();
             self.levels
                 .push(level_of(&now, next.as_ref(), matrix, matrices, children));
-            let Some(next) = next else { break };
+            places.push(now.pieces.iter().map(|piece| piece.at).collect());
+            let Some(next) = next else { break places };
             let level = &self.levels[l];
             children = Table::new(
                 next.pieces.len(),
@@ -389,6 +415,7 @@ fn level_of(
         ),
         around: Table::new(now.points, pairs),
         bound: Vec::new(),
+        effective: vec![Effective::MATRIX; now.pieces.len()],
     };
     level.bound = (0..now.points as u32).map(|p| level.bound_of(p)).collect();
     level

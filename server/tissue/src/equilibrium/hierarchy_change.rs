@@ -452,8 +452,10 @@ impl Hierarchy {
         for (number, matrix) in &change.matrices {
             set_numbered(&mut level.matrices, *number, matrix);
         }
-        for &(e, _, octant) in &change.new {
+        for &(e, origin, octant) in &change.new {
             set(&mut level.octant, e, octant);
+            let answer = level.effective[origin as usize];
+            set(&mut level.effective, e, answer);
         }
         for &(e, matrix) in &change.matrix {
             set(&mut level.matrix, e, matrix);

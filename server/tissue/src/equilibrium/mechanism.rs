@@ -50,8 +50,8 @@ mechanisms! {
     ExpectedContacts "expected-contacts",
     /// Coarse levels follow hardened tissue.
     Hardening "hardening",
-    /// Deferred elements respond with a part of their stiffness.
-    ReducedStiffness "reduced-stiffness",
+    /// Deferred elements answer with their effective stiffness.
+    EffectiveStiffness "effective-stiffness",
     /// Deferred elements with a large displacement difference are refined.
     StrainLimit "strain-limit",
     /// Strained bricks stay in the active set.
@@ -164,7 +164,7 @@ mod tests {
                 Mechanism::ContactSmoothing,
                 Mechanism::ContactCaution,
                 Mechanism::ContactStiffness,
-                Mechanism::ReducedStiffness,
+                Mechanism::EffectiveStiffness,
             ] {
                 let (forces, _) = press(Some(mechanism), follows);
                 assert_ne!(whole, forces, "{}", mechanism.name());

@@ -7,6 +7,7 @@
 //! | `brick`, `kernel`, `small_strain`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `hierarchy`, `coarsen`, `element`, `matrix` | coarse lattices and their Galerkin operators, per element |
 //! | `prolongation` | trilinear interpolation between two levels; its transpose restricts |
+//! | `effective_stiffness` | answer of elements that a quick step defers |
 //! | `coarse_level`, `cycle`, `outer_residual` | active part of a level, V-cycle, forces outside the active part |
 //! | `contact_stiffness`, `coarse_stiffening` | contacts, held nodes and hardened tissue on the coarse levels |
 //! | `fine_level`, `active_set`, `corrections` | forces on nodes, refinement, coarse corrections |
@@ -59,6 +60,7 @@ mod cut_preparer;
 mod cycle;
 #[cfg(test)]
 mod deferred_tests;
+mod effective_stiffness;
 mod element;
 mod fibres;
 mod fine_level;
@@ -95,6 +97,7 @@ mod work_limit;
 
 pub use budget::{Budget, StepReport};
 pub use cut_preparer::{CutPreparer, PreparedCut, Retired, TopologyCut};
+pub(crate) use effective_stiffness::EffectiveStiffness;
 pub(crate) use lanes::Wide;
 pub(crate) use law::Elastic;
 pub(crate) use mechanism::Disabled;

@@ -39,10 +39,6 @@ const PENDING: [f32; 2] = [4.0, 10.0];
 /// springs alone, and of tissue that bottoms out). `KEEP_STRAINED` is the change that keeps a brick in the active set.
 const STRAINED: [f32; 2] = [0.12, 0.1];
 const KEEP_STRAINED: [f32; 2] = [0.3, 0.2];
-/// Stiffness of deferred elements in quick steps, relative to their matrix: of inhomogeneous or distorted elements, and
-/// of homogeneous ones. A trilinear element is stiffer than its contents. With 1.0 the force on a slab is 1 to 4 % too
-/// high during a press and the force on a real thigh 8 %; with 0.7 everywhere the force on a slab is 3 % too low.
-const SLACK: [f32; 2] = [0.6, 0.87];
 /// Smoothing steps around the contacts at the end of a quick step.
 const LAST_STEPS: usize = 3;
 /// Bounds of the step length along a coarse correction. Tissue that bottoms out is tens of times stiffer than its
@@ -436,9 +432,8 @@ impl Solver {
         let pending = limit(Mechanism::ForceLimit, PENDING[1]);
         let strained = limit(Mechanism::StrainLimit, STRAINED[deep]);
         let keep_strained = limit(Mechanism::StrainedStay, KEEP_STRAINED[deep]);
-        let reduced = self.uses(Mechanism::ReducedStiffness);
         (self.coarse.pending, self.coarse.strained) = (pending, strained);
-        self.coarse.slack = if reduced { SLACK } else { [1.0; 2] };
+        self.coarse.is_effective = self.uses(Mechanism::EffectiveStiffness);
         self.fine.keep_strained = keep_strained;
     }
 
@@ -447,7 +442,7 @@ impl Solver {
         self.work_limit = WorkLimit::NONE;
         self.coarse.pending = PENDING[0];
         self.coarse.strained = f32::INFINITY;
-        self.coarse.slack = [1.0; 2];
+        self.coarse.is_effective = false;
         self.fine.keep_strained = f32::INFINITY;
     }
 

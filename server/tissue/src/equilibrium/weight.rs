@@ -12,10 +12,7 @@ pub(super) fn weights(topology: &Topology) -> Vec<Quad> {
     if gravity == [0.0; 3] {
         return Vec::new();
     }
-    let all = 0..topology.node_count() as u32;
-    let pinned: Vec<bool> = all.clone().map(|n| topology.is_pinned(n)).collect();
-    let cells = (0..topology.cell_count() as u32).map(|c| topology.corners(c));
-    let hangs = hanging(cells, &pinned);
+    let hangs = hanging_nodes(topology);
     let of = |node: u32| {
         if hangs[node as usize] {
             weight_of(topology, node)
@@ -23,7 +20,17 @@ pub(super) fn weights(topology: &Topology) -> Vec<Quad> {
             ZERO
         }
     };
-    all.map(of).collect()
+    (0..topology.node_count() as u32).map(of).collect()
+}
+
+/// Whether each node is connected through cells to a pinned node.
+pub(super) fn hanging_nodes(topology: &Topology) -> Vec<bool> {
+    let nodes = 0..topology.node_count() as u32;
+    let pinned: Vec<bool> = nodes.map(|n| topology.is_pinned(n)).collect();
+    hanging(
+        (0..topology.cell_count() as u32).map(|c| topology.corners(c)),
+        &pinned,
+    )
 }
 
 /// Weight of a node in N, if its component hangs.
