@@ -8,9 +8,9 @@
 //! factor = - Σ f · P t / (tᵀ K t)
 //! ```
 //!
-//! f are the forces of its bricks and t its corner displacements under random forces on the surface of the uncut model, after
-//! a few iterations. Rotations are taken out of t, and give no force, unless the element contains fixed nodes. Elements
-//! that a cut splits keep their factor.
+//! f are the forces of its bricks and t its corner displacements under random forces on the surface of the uncut model,
+//! after a few iterations. Rotations are taken out of t, and give no force, unless the element contains fixed nodes.
+//! Elements that a cut splits keep their factor.
 
 use std::collections::BTreeMap;
 
@@ -30,6 +30,7 @@ use super::weight::hanging_nodes;
 use crate::{Shape, Topology, Vec3};
 
 /// Iterations of the test load. With four or twenty the force error of a press differs by less than 0.3 % (rms).
+/// With two a deep release at 2 mm was up to 23 % off.
 const ITERATIONS: usize = 3;
 /// Residual of the test load at which it ends.
 const TOLERANCE: f64 = 1e-3;

@@ -36,6 +36,8 @@
 //!
 //! # Limits
 //!
+//! The contact penalty is too soft over a soft layer on a stiffer one: a ball of 8 mm loses its contact 13 mm deep in 8 mm of
+//! fat over muscle, and deep forces are up to 18 % too low (CONTRIBUTING.md). Converged solutions have the same penalty.
 //! Coarse operators follow hardening but not rotation. Tissue without `bottoms_out` folds from 30 % of a layer's thickness
 //! on. A Poisson's ratio of 0.45 takes twice the iterations of springs alone, 0.49 twenty times. A point tool (radius below
 //! half a spacing) feels the corners of the mesh, and slips between the samples of a soft surface when it is pressed deeper
