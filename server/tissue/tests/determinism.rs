@@ -11,11 +11,11 @@ use strokes::random_stroke::{pieces, random_stroke};
 
 /// Hash of a press into a block of 14 thousand cells with a volume term and stiffening springs. It changes only
 /// with the force law or the solver, and then on every machine.
-const GOLDEN: u64 = 0x3681_da93_7646_4f74;
+const GOLDEN: u64 = 0x870a_5f8e_32f5_4bf6;
 
 /// Hashes of the topology after random strokes in parts, an undo and a redo, and of the shape under a ball. They change
 /// only with the rules of cuts or the solver.
-const GOLDEN_CUT: [u64; 2] = [0xce6b_e1c9_2b05_351f, 0xa32a_cc3f_441d_f6e6];
+const GOLDEN_CUT: [u64; 2] = [0xce6b_e1c9_2b05_351f, 0x9948_85d8_9c28_b324];
 
 fn press(threads: usize) -> u64 {
     let material = Material {

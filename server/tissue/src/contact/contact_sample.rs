@@ -9,7 +9,7 @@ use super::outwards::Outwards;
 use super::proxy::Proxy;
 use super::surface::{Surface, area_normal, blend};
 use super::tie::Spread;
-use super::{FINE_RADIUS, FOUNDATION};
+use super::{FINE_RADIUS, PENALTY};
 use crate::Vec3;
 
 /// Barycentric weights of the four samples of a triangle, the middles of its four equal parts; the first is the centre.
@@ -40,8 +40,8 @@ pub(crate) struct Sample {
     pub(super) stiffness: f64,
     pub(super) proxy: u32,
     pub(super) triangle: u32,
-    /// Depth in m before the tool moved.
-    pub(super) depth_before: f64,
+    /// λ/κ in m; see [`Multipliers`](super::multipliers::Multipliers).
+    pub(super) multiplier: f64,
 }
 
 impl Sample {
@@ -102,7 +102,7 @@ pub(super) fn sample(
     let reach = proxy.radius + 0.5 * spacing + proxy.gap;
     let of_triangle = weights_of(proxy.radius, spacing);
     let narrow = (WIDE * spacing / proxy.radius).max(1.0).powf(1.5);
-    let share = FOUNDATION * narrow / (TRIANGLES_PER_NODE * of_triangle.len() as f64);
+    let share = PENALTY * narrow / (TRIANGLES_PER_NODE * of_triangle.len() as f64);
     let triangles = within_reach(surface, &proxy.core, reach + proxy.inset);
     let outwards = (proxy.inset > 0.0).then(|| Outwards::around(surface, &triangles));
     for triangle in triangles {
@@ -132,10 +132,10 @@ pub(super) fn sample(
                     nodes,
                     weights,
                     rest: blend(&rest, &weights) + inwards,
-                    stiffness: share * fade * foundation(own, &nodes, &weights),
+                    stiffness: share * fade * under(own, &nodes, &weights),
                     proxy: i as u32,
                     triangle,
-                    depth_before: (proxy.radius - proxy.before.towards(&x).norm()).max(0.0),
+                    multiplier: proxy.multipliers.at(&nodes, &weights),
                 });
             }
         }
@@ -155,6 +155,7 @@ fn within_reach(surface: &Surface<'_>, core: &Core, reach: f64) -> Vec<u32> {
     found
 }
 
-fn foundation(own: &[f64], nodes: &[u32; 3], weights: &[f64; 3]) -> f64 {
+/// Stiffness of the nodes under a sample.
+fn under(own: &[f64], nodes: &[u32; 3], weights: &[f64; 3]) -> f64 {
     (0..3).map(|k| weights[k] * own[nodes[k] as usize]).sum()
 }

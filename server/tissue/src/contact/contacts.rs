@@ -4,12 +4,13 @@ use super::ball::Ball;
 use super::channel::Around;
 use super::contact_sample::{Sample, depth, sample};
 use super::line_search::{LineSearch, Row, TieRow};
+use super::multipliers::{Change, Multipliers};
 use super::proxy::Proxy;
 use super::surface::{Foot, Surface, blend};
 use super::surface_index::{SurfaceChange, SurfaceIndex, SurfaceTree};
 use super::tie::{Held, Spread};
-use super::{TOOLS_MAX, Tool};
-use crate::equilibrium::{Disabled, Mechanism, laid_out, trim};
+use super::{MULTIPLIER_MAX, TOOLS_MAX, Tool};
+use crate::equilibrium::{Disabled, Mechanism, STEADY, laid_out, trim};
 use crate::{Topology, Vec3};
 
 const NONE: u32 = u32::MAX;
@@ -24,6 +25,10 @@ pub(crate) struct Contacts {
     /// Nodes of the samples and of the held points, and the position of every node in this list.
     pub(crate) nodes: Vec<u32>,
     place: Vec<u32>,
+    /// Whether the shape has changed since the last update of the multipliers.
+    pub(crate) is_solved: bool,
+    /// Whether the last update of the multipliers changed the forces.
+    pub(crate) is_apart: bool,
     /// Whether a needle has changed its forces at the end of the last step.
     pub(crate) is_unsettled: bool,
     /// Invalid or excess tools of the last step.
@@ -41,6 +46,8 @@ impl Contacts {
             held: Vec::new(),
             nodes: Vec::new(),
             place: laid_out(NONE, topology.node_count()),
+            is_solved: false,
+            is_apart: false,
             is_unsettled: false,
             ignored: 0,
             disabled: Disabled::default(),
@@ -51,20 +58,30 @@ impl Contacts {
     pub(crate) fn exchange(&mut self, topology: &Topology, index: &mut SurfaceIndex) {
         // Samples of the last step may refer to nodes that are gone.
         self.clear();
+        // An undo that has the levels rebuilt numbers all nodes of cuts anew.
+        self.follow_nodes(topology, topology.model().nodes.len());
         self.place = laid_out(NONE, topology.node_count());
         std::mem::swap(&mut self.index, index);
     }
 
-    /// Follows a cut or an undo.
+    /// Follows a cut or an undo that leaves the nodes below `kept` in place.
     pub(crate) fn follow(
         &mut self,
         topology: &Topology,
+        kept: usize,
         change: &SurfaceChange,
         tree: Option<&mut SurfaceTree>,
     ) {
+        self.follow_nodes(topology, kept);
         trim(&mut self.place, topology.node_count());
         self.place.resize(topology.node_count(), NONE);
         self.index.follow(topology, change, tree);
+    }
+
+    fn follow_nodes(&mut self, topology: &Topology, kept: usize) {
+        for proxy in &mut self.proxies {
+            proxy.multipliers.follow(topology, kept);
+        }
     }
 
     /// Sets the tools of a step. Returns whether any tool changed.
@@ -106,11 +123,13 @@ impl Contacts {
         u: &[Vec3],
         displaced: f64,
         own_stiffness: &[f64],
+        fixed: &[bool],
     ) -> bool {
         self.update_penetration(u);
         let at_tip: Vec<f64> = (0..self.proxies.len())
             .map(|i| self.pressed_at_tip_n(topology, u, i))
             .collect();
+        self.augment(u, fixed, topology.model().spacing_m);
         self.clear();
         let spacing = topology.model().spacing_m;
         self.proxies.iter_mut().for_each(|p| p.fit(spacing));
@@ -178,7 +197,7 @@ impl Contacts {
 
     /// Whether no tool touches the tissue, now or if every node were within `sag` m of its rest position.
     pub(crate) fn are_clear(&self, topology: &Topology, u: &[Vec3], sag: f64) -> bool {
-        let pressed = |sample: &Sample| self.penetration(sample, u).0 > 0.0;
+        let pressed = |sample: &Sample| self.force_over_stiffness(sample, u).0 > 0.0;
         if self.samples.iter().any(pressed) {
             return false;
         }
@@ -209,7 +228,10 @@ impl Contacts {
     /// Drops all samples: the tissue is at rest, and all tools are clear of it.
     pub(crate) fn rest(&mut self) {
         self.clear();
-        self.proxies.iter_mut().for_each(|p| p.set_depth(None, 0.0));
+        for proxy in &mut self.proxies {
+            proxy.set_depth(None, 0.0);
+            proxy.multipliers.clear();
+        }
     }
 
     /// Updates the penetration depth and the gap of each proxy, so that no proxy outruns the tissue.
@@ -258,15 +280,66 @@ impl Contacts {
         }
     }
 
-    /// Depth in m (above zero: pressed) and direction into the tissue of a sample.
+    /// Force of a sample over κ in m, and its direction, into the tissue: `max(0, λ/κ + depth)`.
     #[inline]
-    pub(crate) fn penetration(&self, sample: &Sample, u: &[Vec3]) -> (f64, Vec3) {
+    pub(crate) fn force_over_stiffness(&self, sample: &Sample, u: &[Vec3]) -> (f64, Vec3) {
         let (v, radius) = self.offset(sample, u);
+        let radius = radius + sample.multiplier;
         // Early exit without a square root: most samples in reach do not touch.
         if v.norm_squared() >= radius * radius {
             return (0.0, Vec3::zeros());
         }
         depth(v, radius)
+    }
+
+    /// Passes the force of each sample on to the multipliers, once per shape. Fixed nodes cannot give way, so the penalty alone
+    /// presses on them.
+    pub(crate) fn augment(&mut self, u: &[Vec3], fixed: &[bool], spacing: f64) {
+        if self.samples.is_empty() || !std::mem::take(&mut self.is_solved) {
+            return;
+        }
+        let (mut changed, mut whole) = (0.0, 0.0);
+        for i in 0..self.proxies.len() {
+            let mut changes = Vec::new();
+            for s in self.samples.iter().filter(|s| s.proxy == i as u32) {
+                let force = self.force_over_stiffness(s, u).0;
+                let by = force - s.multiplier;
+                let free = (0..3).filter(|&k| !fixed[s.nodes[k] as usize]);
+                changes.extend(free.map(|k| Change {
+                    node: s.nodes[k],
+                    weight: s.weights[k] * s.stiffness,
+                    by,
+                }));
+                changed += s.stiffness * by;
+                whole += s.stiffness * force;
+            }
+            let most = MULTIPLIER_MAX * spacing;
+            self.proxies[i].multipliers.add(changes, most);
+        }
+        self.is_apart = changed.abs() > STEADY * whole;
+        self.read_multipliers();
+    }
+
+    fn read_multipliers(&mut self) {
+        for s in &mut self.samples {
+            let multipliers = &self.proxies[s.proxy as usize].multipliers;
+            s.multiplier = multipliers.at(&s.nodes, &s.weights);
+        }
+    }
+
+    /// The multipliers of each proxy.
+    pub(crate) fn multipliers(&self) -> Vec<Multipliers> {
+        let of = |proxy: &Proxy| proxy.multipliers.clone();
+        self.proxies.iter().map(of).collect()
+    }
+
+    /// Returns to the multipliers of an earlier shape.
+    pub(crate) fn restore(&mut self, multipliers: Vec<Multipliers>) {
+        for (proxy, multipliers) in self.proxies.iter_mut().zip(multipliers) {
+            proxy.multipliers = multipliers;
+        }
+        self.read_multipliers();
+        self.is_solved = false;
     }
 
     /// Position of a sample relative to the core of its tool, and the tool's radius, in m.
@@ -286,7 +359,7 @@ impl Contacts {
             Row {
                 from: x - proxy.core.mid - by * at,
                 by,
-                radius: proxy.radius,
+                radius: proxy.radius + sample.multiplier,
                 stiffness: sample.stiffness,
                 tool: sample.proxy,
             }
@@ -308,9 +381,9 @@ impl Contacts {
     #[inline]
     pub(crate) fn pressed(&self, u: &[Vec3], mut visit: impl FnMut(&Spread, Vec3, f64, Vec3)) {
         for sample in &self.samples {
-            let (depth, n) = self.penetration(sample, u);
-            if depth > 0.0 {
-                let force = n * (sample.stiffness * depth);
+            let (pressed, n) = self.force_over_stiffness(sample, u);
+            if pressed > 0.0 {
+                let force = n * (sample.stiffness * pressed);
                 visit(&sample.spread(), force, sample.stiffness, n);
             }
         }
@@ -318,34 +391,6 @@ impl Contacts {
             for (tie, force, stiffness) in held.forces(u) {
                 for spread in &held.spreads {
                     visit(spread, tie.direction * force, stiffness, tie.direction);
-                }
-            }
-        }
-    }
-
-    /// Calls `visit` with every sample that is pressed or is predicted to close again, its depth in m (negative: open),
-    /// its κ and its direction. Predicted to close are samples that opened by less than their depth before the tool
-    /// moved: the criterion of a primal-dual active set, with κ as its factor (Hintermüller, Ito and Kunisch 2002). Ties
-    /// count as pressed.
-    pub(crate) fn expected(&self, u: &[Vec3], mut visit: impl FnMut(&Spread, f64, f64, Vec3)) {
-        for sample in &self.samples {
-            let (deep, n) = if sample.depth_before > 0.0 {
-                let (v, radius) = self.offset(sample, u);
-                depth(v, radius)
-            } else {
-                self.penetration(sample, u)
-            };
-            if deep + sample.depth_before > 0.0 {
-                visit(&sample.spread(), deep, sample.stiffness, n);
-            }
-        }
-        for held in &self.held {
-            for (tie, force, stiffness) in held.forces(u) {
-                if stiffness > 0.0 {
-                    let deep = (force / stiffness).abs().max(f64::MIN_POSITIVE);
-                    for spread in &held.spreads {
-                        visit(spread, deep, stiffness, tie.direction);
-                    }
                 }
             }
         }
@@ -371,9 +416,9 @@ impl Contacts {
     pub(crate) fn force(&self, u: &[Vec3], i: usize) -> (Vec3, u32) {
         let (mut force, mut count) = (Vec3::zeros(), 0);
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
-            let (depth, n) = self.penetration(sample, u);
-            if depth > 0.0 {
-                force -= n * (sample.stiffness * depth);
+            let (pressed, n) = self.force_over_stiffness(sample, u);
+            if pressed > 0.0 {
+                force -= n * (sample.stiffness * pressed);
                 count += 1;
             }
         }

@@ -68,6 +68,7 @@ impl Proxy {
     fn insert(&mut self, channel: Option<Channel>) {
         if let Some(channel) = channel {
             self.secant.clear();
+            self.multipliers.clear();
             (self.placed, self.touching, self.depth, self.gap) = (true, true, 0.0, 0.0);
             self.insertion = Insertion::In(channel);
         }
@@ -76,6 +77,7 @@ impl Proxy {
     fn withdraw(&mut self) {
         if std::mem::replace(&mut self.insertion, Insertion::Out).is_in() {
             self.secant.clear();
+            self.multipliers.clear();
             // Contact begins outside of the surface again.
             (self.placed, self.touching, self.gap) = (false, false, 0.0);
         }
@@ -88,13 +90,13 @@ impl Contacts {
         let proxy = &self.proxies[i];
         let mut found: Option<TipContact> = None;
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
-            let (depth, n) = self.penetration(sample, u);
-            if depth > 0.0 && proxy.core.nearest(&sample.position(u))[0] <= -1.0 {
+            let (pressed, n) = self.force_over_stiffness(sample, u);
+            if pressed > 0.0 && proxy.core.nearest(&sample.position(u))[0] <= -1.0 {
                 let contact = found.get_or_insert(TipContact {
                     cell: topology.exposed.faces[sample.triangle as usize / 2].cell(),
                     pressed_n: 0.0,
                 });
-                contact.pressed_n -= sample.stiffness * depth * n.dot(&rod.axis);
+                contact.pressed_n -= sample.stiffness * pressed * n.dot(&rod.axis);
             }
         }
         found
@@ -243,7 +245,7 @@ mod tests {
                 ..Tool::ball(1, Vec3::new(x, 4.1 * D, 4.1 * D), 0.6e-3)
             };
             contacts.begin(&[tool]);
-            contacts.gather(&topology, &u, 0.0, &own);
+            contacts.gather(&topology, &u, 0.0, &own, &[]);
             assert!(contacts.proxies[0].insertion.is_in());
             assert_eq!(contacts.proxies[0].gap, 0.0);
         }

@@ -1,6 +1,6 @@
 //! Line search with contacts.
 //!
-//! Tissue resists deformation nearly linearly; a contact pushes from touch on, many times stiffer, and never pulls. So
+//! Tissue resists deformation nearly linearly; a contact pushes from `λ/κ` before touch on, many times stiffer, and never pulls. So
 //! the step length along a correction does not follow from the forces at its two ends: where a tool leaves or meets the
 //! tissue, that estimate was a tenth of the right value. Contact forces are cheap, so they are evaluated at every trial
 //! step length.
@@ -228,7 +228,7 @@ mod tests {
 
     #[test]
     fn returning_tissue_stops_at_the_tool() {
-        // The tool has retreated by 0.8 mm, and is forty times as stiff as the returning tissue.
+        // The tool has retreated by 0.8 mm, and is forty times as stiff as this returning tissue.
         let away = along(vec![ball(-8.8e-3, 4000.0)]);
         let s = away.zero_work([1e-4, 0.0], [0.0, 2.0]);
         assert!((0.8..0.83).contains(&s), "{s}");

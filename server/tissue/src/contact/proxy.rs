@@ -5,6 +5,7 @@ use nalgebra::UnitQuaternion;
 use super::ball::Ball;
 use super::core::Core;
 use super::insertion::Insertion;
+use super::multipliers::Multipliers;
 use super::reaction::Secant;
 use super::surface::{Foot, Surface, area_normal, blend};
 use super::{PITCH, POINT_RADIUS, Tool};
@@ -42,8 +43,6 @@ pub(crate) struct Proxy {
     pub(crate) turn: UnitQuaternion<f64>,
     /// Core in the current pose.
     pub(crate) core: Core,
-    /// Core before the last move.
-    pub(crate) before: Core,
     /// Allowed gap in m to the tissue it touched: the retreat of the tool, plus the displacement still to follow.
     pub(crate) gap: f64,
     pub(crate) touching: bool,
@@ -51,6 +50,7 @@ pub(crate) struct Proxy {
     pub(crate) depth: f64,
     pub(crate) placed: bool,
     pub(crate) seen: bool,
+    pub(super) multipliers: Multipliers,
     pub(super) secant: Secant,
     pub(crate) insertion: Insertion,
 }
@@ -67,12 +67,12 @@ impl Proxy {
             at: tool.centre,
             turn: tool.turn,
             core,
-            before: core,
             gap: 0.0,
             touching: false,
             depth: 0.0,
             placed: false,
             seen: true,
+            multipliers: Multipliers::default(),
             secant: Secant::default(),
             insertion: Insertion::Unknown,
         }
@@ -178,7 +178,6 @@ impl Proxy {
 
     /// Moves towards the tool; stops at the first touch.
     pub(crate) fn advance(&mut self, surface: &Surface<'_>) {
-        self.before = self.core;
         let (at, turn) = (self.at, self.turn);
         let touched = self.touching;
         self.go(surface);
@@ -204,7 +203,6 @@ impl Proxy {
         let stride = TRAVEL * self.radius.max(0.5 * spacing);
         if !self.placed {
             self.place(surface, f64::MAX);
-            self.before = self.core;
         }
         let length = self.lag();
         let there = (self.target.centre, self.target.turn);

@@ -154,6 +154,7 @@ impl Contacts {
         proxy.set_depth(nearest, spacing);
         if samples.is_empty() {
             proxy.secant.clear();
+            proxy.multipliers.clear();
         }
         let force: Vec3 = samples.iter().map(|f| f.force).sum();
         let torque = samples.iter().map(|f| f.lever.cross(&f.force)).sum();
@@ -208,7 +209,8 @@ impl Contacts {
             let c = proxy.core.at(on_core);
             let (depth, n) = depth(sample.position(u) - c, proxy.radius);
             nearest = Some(nearest.map_or(depth, |d| d.max(depth)));
-            let amount = sample.stiffness * depth;
+            let pressed = sample.multiplier + depth;
+            let amount = sample.stiffness * pressed;
             if amount > 0.0 {
                 let face = topology.exposed.faces[sample.triangle as usize / 2];
                 let material = topology.model().material_of(face.cell() as usize);
@@ -218,7 +220,8 @@ impl Contacts {
                     lever: c + n * (proxy.radius - proxy.inset) - proxy.at,
                     force: -n * amount,
                     amount,
-                    indentation: depth + sample.moved(u, untouched).dot(&n).max(0.0),
+                    // A sample that opens still has a force.
+                    indentation: (depth + sample.moved(u, untouched).dot(&n)).max(pressed),
                     friction: [material.friction_static, material.friction_dynamic],
                 });
             }
@@ -255,11 +258,11 @@ impl Contacts {
         }
         let (mut at, mut sum) = (Vec3::zeros(), 0.0);
         for sample in self.samples.iter().filter(|s| s.proxy == i as u32) {
-            let (depth, _) = self.penetration(sample, u);
-            if depth > 0.0 {
+            let (pressed, _) = self.force_over_stiffness(sample, u);
+            if pressed > 0.0 {
                 let on_core = proxy.core.nearest(&sample.position(u));
-                at += proxy.core.at(on_core) * (sample.stiffness * depth);
-                sum += sample.stiffness * depth;
+                at += proxy.core.at(on_core) * (sample.stiffness * pressed);
+                sum += sample.stiffness * pressed;
             }
         }
         if sum > 0.0 { at / sum } else { proxy.core.mid }

@@ -164,7 +164,7 @@ proptest! {
             let half = if is_ball { Vec3::zeros() } else { ends };
             let form = Form { half: [half, Vec3::zeros()], ..Form::BALL };
             contacts.begin(&[Tool { form, ..Tool::ball(1, centre, radius * D) }]);
-            contacts.gather(&topology, &u, longest(&u), &own);
+            contacts.gather(&topology, &u, longest(&u), &own, &[]);
             let proxy = &contacts.proxies[0];
             let mut expected = Vec::new();
             for &nodes in &topology.boundary().triangles {
@@ -259,7 +259,7 @@ fn known_tool_that_jumps_into_tissue_is_placed_on_its_surface() {
     for height in [0.03, -0.004] {
         let tool = Tool::ball(1, middle + Vec3::z() * height, 0.3 * D);
         contacts.begin(&[Tool { form, ..tool }]);
-        contacts.gather(&topology, &u, 0.0, &own);
+        contacts.gather(&topology, &u, 0.0, &own, &[]);
         let proxy = &contacts.proxies[0];
         assert_eq!(proxy.touching, height < 0.0);
         assert!(proxy.at.z >= top, "{} m below", top - proxy.at.z);

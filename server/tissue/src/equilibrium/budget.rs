@@ -5,7 +5,7 @@ use crate::contact::Reaction;
 use crate::{Topology, Vec3};
 
 /// Relative change of a tool's force in the last iteration above which a quick step iterates again; see DECISIONS.md.
-const STEADY: f64 = 5e-3;
+pub(crate) const STEADY: f64 = 5e-3;
 
 /// Displacement in spacings of the lattice above which an iterate counts as diverged.
 const BLOWN_UP: f64 = 1e4;

@@ -33,18 +33,16 @@ pub(super) const PRESCRIBED_STIFFNESS: [f64; 2] = [1.0, 8.0];
 const ROOT_ROUNDS: usize = 9;
 
 impl Solver {
-    /// Stage: adds the stiffness of contacts, held nodes and hardened tissue to the coarse levels. `expected` includes
-    /// contacts that are open but predicted to close.
-    pub(super) fn stiffen_levels(&mut self, u: &[Vec3], expected: bool) {
+    /// Stage: adds the stiffness of contacts, held nodes and hardened tissue to the coarse levels.
+    pub(super) fn stiffen_levels(&mut self, u: &[Vec3]) {
         let stiffness = PRESCRIBED_STIFFNESS[usize::from(self.follows_prescribed_nodes())];
         let (hierarchy, coarse) = (&self.hierarchy, &mut self.coarse);
         coarse.clear_stiffness(hierarchy);
         let mut blocks: Vec<[f32; 6]> = vec![[0.0; 6]; self.contacts.nodes.len()];
         let contacts = &self.contacts;
-        let expected = expected && self.disabled.allows(Mechanism::ExpectedContacts);
         let stiffens = self.disabled.allows(Mechanism::ContactStiffness);
-        contacts.expected(u, |sample, depth, kappa, n| {
-            if depth <= 0.0 && !expected || !stiffens {
+        contacts.pressed(u, |sample, _, kappa, n| {
+            if !stiffens {
                 return;
             }
             for (&node, w) in sample.nodes.iter().zip(sample.weights) {
@@ -75,18 +73,6 @@ impl Solver {
     /// Whether the levels are loaded after led nodes.
     pub(super) fn follows_prescribed_nodes(&self) -> bool {
         !self.prescribed_displacements.is_empty() && self.contacts.nodes.is_empty()
-    }
-
-    /// Loads level 1 with the pull of open contacts that are predicted to close.
-    pub(super) fn load_expected_contacts(&mut self, u: &[Vec3]) {
-        let (hierarchy, coarse, fixed) = (&self.hierarchy, &mut self.coarse, &self.fine.fixed);
-        self.contacts.expected(u, |sample, depth, kappa, n| {
-            for (&node, w) in sample.nodes.iter().zip(sample.weights) {
-                if depth < 0.0 && !fixed[node as usize] {
-                    coarse.load_node(hierarchy, node, &(n * (w * kappa * depth)));
-                }
-            }
-        });
     }
 }
 

@@ -1,6 +1,6 @@
 //! Additional smoothing of the bricks under the tools.
 //!
-//! A contact is forty times stiffer than the tissue, so a small displacement error of a node in contact makes a large
+//! A contact is many times stiffer than the tissue, so a small displacement error of a node in contact makes a large
 //! force error. The error is local, so local smoothing removes it. (Three steps take 0.065 ms of a tick of 1.3 ms.)
 
 use super::coarse_level::List;

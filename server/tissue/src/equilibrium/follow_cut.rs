@@ -29,6 +29,9 @@ impl Solver {
         change: &HierarchyChange,
         tree: Option<&mut SurfaceTree>,
     ) {
+        let spacing = topology.model().spacing_m;
+        self.contacts
+            .augment(&shape.displacement, &self.fine.fixed, spacing);
         self.forget_removed(change.stays);
         let (fine, coarse) = (&mut self.fine, &mut self.coarse);
         let is_return = change.keeps.nodes < self.hierarchy.prolongation.len();
@@ -63,7 +66,8 @@ impl Solver {
             fine.displaced = fine.displaced.max(shape.displacement[node as usize].norm());
         }
         self.contact_smoother.follow(&self.hierarchy);
-        self.contacts.follow(topology, &change.surface, tree);
+        self.contacts
+            .follow(topology, change.stays, &change.surface, tree);
         self.report.steady = false;
         self.dirty = true;
     }

@@ -46,8 +46,6 @@ mechanisms! {
     RigidAggregation "rigid-aggregation",
     /// Contact stiffness on the coarse levels.
     ContactStiffness "contact-stiffness",
-    /// Open contacts that are predicted to close count as closed on the coarse levels.
-    ExpectedContacts "expected-contacts",
     /// Coarse levels follow hardened tissue.
     Hardening "hardening",
     /// Deferred elements answer with their effective stiffness.

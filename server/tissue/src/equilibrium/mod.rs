@@ -31,13 +31,11 @@
 //!
 //! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine. Cube from rest to 1 %: 6.5 ms with
 //! 8,000 nodes, 45 ms with 64,000. A real thigh of 70,000 nodes pressed at 100 mm/s: 1.3 ms per tick (99 % below
-//! 1.8 ms), force error 0.8 % rms, 2.4 % at most; withdrawal 1.4 ms (1.9 ms), 2.3 % rms, 12 % at most. With 528,000 nodes:
-//! 2.1 ms (3.2 ms), 6.5 % rms; withdrawal 3.1 ms (5.9 ms), 13 % rms.
+//! 1.8 ms), force error above 0.5 N 0.6 % rms, 1.4 % at most; withdrawal 1.4 ms (2.5 ms), 1.1 % rms, 2.6 % at most. With
+//! 528,000 nodes: 1.6 ms (2.5 ms), 5.1 % rms; withdrawal 2.5 ms (4.9 ms), 5.5 % rms.
 //!
 //! # Limits
 //!
-//! The contact penalty is too soft over a soft layer on a stiffer one: a ball of 8 mm loses its contact 13 mm deep in 8 mm of
-//! fat over muscle, and deep forces are up to 18 % too low (CONTRIBUTING.md). Converged solutions have the same penalty.
 //! Coarse operators follow hardening but not rotation. Tissue without `bottoms_out` folds from 30 % of a layer's thickness
 //! on. A Poisson's ratio of 0.45 takes twice the iterations of springs alone, 0.49 twenty times. A point tool (radius below
 //! half a spacing) feels the corners of the mesh, and slips between the samples of a soft surface when it is pressed deeper
@@ -97,6 +95,7 @@ mod warm_start;
 mod weight;
 mod work_limit;
 
+pub(crate) use budget::STEADY;
 pub use budget::{Budget, StepReport};
 pub use cut_preparer::{CutPreparer, PreparedCut, Retired, TopologyCut};
 pub(crate) use effective_stiffness::EffectiveStiffness;

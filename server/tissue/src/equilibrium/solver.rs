@@ -220,7 +220,8 @@ impl Solver {
         self.report.steady = true;
         self.report.visits = [0; 2];
         self.report.rolled_back = false;
-        if !changed && self.report.lag_m == 0.0 && self.report.residual <= budget.tolerance {
+        let is_settled = self.report.lag_m == 0.0 && !self.contacts.is_apart;
+        if !changed && is_settled && self.report.residual <= budget.tolerance {
             self.settle(budget.tolerance);
             return &self.report;
         }
@@ -237,12 +238,14 @@ impl Solver {
         let by = |(&node, from): (&u32, &Vec3)| (node, u[node as usize] - from);
         self.prescribed_displacements = self.prescribed_from.iter().map(by).collect();
         self.prescribed_from.clear();
+        let multipliers = self.contacts.multipliers();
         let lags = self.apply_warm_start(topology, u);
         self.iterate(topology, u, lags, quick, &mut budget);
         if !self.is_sane(topology, &shape.displacement) {
             self.fine.undo(&self.hierarchy, &mut shape.displacement);
             let own = std::mem::take(&mut self.fine.own);
             self.restart(topology, own);
+            self.contacts.restore(multipliers);
             self.report.rolled_back = true;
         } else if !budget.near {
             self.prolongate_changes(shape, if quick { UNSEEN_M } else { 0.0 });
@@ -283,6 +286,10 @@ impl Solver {
         let due = if first { DUE } else { 1 };
         let mut smoothing = None;
         loop {
+            if !quick {
+                let spacing = topology.model().spacing_m;
+                self.contacts.augment(u, &self.fine.fixed, spacing);
+            }
             self.fine.refresh(&self.hierarchy, u);
             let allowed = self.allowed_residual(u, budget.tolerance, quick);
             let last = if budget.tolerance < PROVEN {
@@ -300,7 +307,8 @@ impl Solver {
                 .grids
                 .iter()
                 .all(|p| p.to_refine.items.is_empty());
-            let converged = sum.sqrt() <= allowed && !lags;
+            let is_apart = quick && self.contacts.is_apart;
+            let converged = sum.sqrt() <= allowed && !lags && !is_apart;
             let done = converged && share <= last && (whole || budget.tolerance >= PROVEN);
             if done || self.is_over(budget, due, touches) {
                 break;
@@ -312,9 +320,10 @@ impl Solver {
                 share = (share * DEEPEN).max(last);
             }
             self.report.iterations += 1;
+            self.contacts.is_solved = true;
             self.remember_forces(u);
             if !quick || outdated {
-                self.stiffen_levels(u, self.report.iterations == 1);
+                self.stiffen_levels(u);
                 outdated = false;
             }
             self.correct(u, share * allowed, quick);
@@ -450,7 +459,7 @@ impl Solver {
     pub(super) fn gather(&mut self, topology: &Topology, u: &mut [Vec3]) -> bool {
         let (fine, contacts) = (&mut self.fine, &mut self.contacts);
         fine.remove_contacts(&self.hierarchy, &contacts.nodes);
-        let lags = contacts.gather(topology, u, fine.displaced, &fine.own);
+        let lags = contacts.gather(topology, u, fine.displaced, &fine.own, &fine.fixed);
         fine.prolongate_at(&self.hierarchy, &self.coarse, u, &contacts.nodes);
         lags
     }
@@ -493,9 +502,6 @@ impl Solver {
             }
         } else {
             self.fine.restrict(&self.hierarchy, &mut self.coarse);
-            if self.report.iterations == 1 && self.uses(Mechanism::ExpectedContacts) {
-                self.load_expected_contacts(u);
-            }
         }
         let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
         coarse.cycle(hierarchy, effort);
