@@ -123,3 +123,27 @@ fn held_ball_keeps_its_force() {
         "{exact} {forces:.3?}"
     );
 }
+
+#[test]
+fn unmoved_tool_costs_nothing_once_its_force_is_found() {
+    // Tissue, one cell on a pinned base pressed flat, the side of the base, and a tool that has left.
+    let above = |depth: f64| Vec3::new(33.0 * MM, 30.5 * MM, 32.0 * MM + RADIUS - depth);
+    let beside = Vec3::new(MM - RADIUS, 30.5 * MM, 7.0 * MM);
+    for (pinned, centre) in [(1, above(5.0 * MM)), (7, above(3.5 * MM)), (4, beside)] {
+        let model = block([16, 16, 8], CELL, &material(10e3, 0.25), pinned);
+        let mut tissue = Tissue::at_rest(Topology::new(Arc::new(model)));
+        let far = centre + Vec3::new(-0.1, 0.0, 0.1);
+        for (at, is_pressed) in [(centre, true), (far, false)] {
+            let mut iterations = Vec::new();
+            for _ in 0..60 {
+                let report = tissue.step(&[Tool::ball(1, at, RADIUS)], Budget::new(4, 0.02));
+                assert!(!is_pressed || report.reactions[0].force.norm() > 0.1);
+                iterations.push(report.iterations);
+            }
+            assert!(
+                iterations[40..].iter().all(|&n| n == 0),
+                "{pinned} {iterations:?}"
+            );
+        }
+    }
+}

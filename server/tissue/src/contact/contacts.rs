@@ -295,10 +295,11 @@ impl Contacts {
     /// Passes the force of each sample on to the multipliers, once per shape. Fixed nodes cannot give way, so the penalty alone
     /// presses on them.
     pub(crate) fn augment(&mut self, u: &[Vec3], fixed: &[bool], spacing: f64) {
+        self.is_apart &= !self.samples.is_empty();
         if self.samples.is_empty() || !std::mem::take(&mut self.is_solved) {
             return;
         }
-        let (mut changed, mut whole) = (0.0, 0.0);
+        let (mut before, mut pressed) = (0.0, 0.0);
         for i in 0..self.proxies.len() {
             let mut changes = Vec::new();
             for s in self.samples.iter().filter(|s| s.proxy == i as u32) {
@@ -310,14 +311,19 @@ impl Contacts {
                     weight: s.weights[k] * s.stiffness,
                     by,
                 }));
-                changed += s.stiffness * by;
-                whole += s.stiffness * force;
+                before += s.stiffness * s.multiplier;
+                pressed += s.stiffness * force;
             }
             let most = MULTIPLIER_MAX * spacing;
             self.proxies[i].multipliers.add(changes, most);
         }
-        self.is_apart = changed.abs() > STEADY * whole;
         self.read_multipliers();
+        let now: f64 = self
+            .samples
+            .iter()
+            .map(|s| s.stiffness * s.multiplier)
+            .sum();
+        self.is_apart = (now - before).abs() > STEADY * pressed;
     }
 
     fn read_multipliers(&mut self) {

@@ -11,8 +11,8 @@
 //! The three nodes share it as `w_k f`; the tool receives the opposite force. Each triangle has four samples of equal
 //! area, half a spacing apart, or one where the lattice is fine compared to the tool ([`FINE_RADIUS`]). The contact
 //! penalty stiffness κ is [`PENALTY`] times the stiffness of the nodes under the sample; converged forces do not depend
-//! on it, except on fixed nodes. Contacts never pull, and the force grows from zero at touch, so it is continuous. A triangle that faces away
-//! from the core (the far skin of a thin flap) fades out over a range of angles.
+//! on it, except on fixed nodes. Contacts never pull, and the force grows from zero at touch, so it is continuous. A
+//! triangle that faces away from the core (the far skin of a thin flap) fades out over a range of angles.
 //!
 //! Below [`POINT_RADIUS`] spacings a tool would slip between samples. Such a tool presses with that radius on a surface
 //! that is offset inwards by the difference (`outwards`): it touches at the right place, and its dent is as narrow as
