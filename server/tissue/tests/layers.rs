@@ -1,4 +1,4 @@
-//! Stiff layers over soft ones: forces of quick steps against converged ones.
+//! Layers of other stiffness over muscle: forces of quick steps against converged ones, and deep presses.
 
 use std::sync::Arc;
 
@@ -10,28 +10,35 @@ const RADIUS: f64 = 8.0 * MM;
 /// Ticks of a press to 12 mm at 100 mm/s, of which every third is compared.
 const TICKS: usize = 30;
 
-fn material(young_pa: f64) -> Material {
+fn material(young_pa: f64, poisson: f64) -> Material {
     Material {
         young_pa,
-        poisson: 0.45,
+        poisson,
         ..Material::default()
     }
 }
 
-/// Muscle of 12 kPa, 36 mm thick, under a layer of 8 mm.
-fn covered_muscle(layer_pa: f64) -> Topology {
-    let mut model: Model = block([32, 32, 11], CELL, &material(12e3), 1);
+/// Muscle of 12 kPa under a layer of 8 mm.
+fn covered_muscle(cells: [usize; 3], layer_pa: f64, poisson: f64) -> Model {
+    let mut model: Model = block(cells, CELL, &material(12e3, poisson), 1);
     let mut layer = model.regions[0].clone();
     "layer".clone_into(&mut layer.name);
-    layer.material = material(layer_pa);
+    layer.material = material(layer_pa, poisson);
     layer.pinned = false;
     let id = RegionId(model.regions.len() as u16);
     model.regions.push(layer);
+    let below = cells[2] as i32 - 2;
     for cell in &mut model.cells {
-        if model.lattice[cell.corners[0] as usize][2] >= 9 {
+        if i32::from(model.lattice[cell.corners[0] as usize][2]) >= below {
             cell.region = id;
         }
     }
+    model
+}
+
+/// Muscle, 36 mm thick, under a layer.
+fn uneven_slab(layer_pa: f64) -> Topology {
+    let mut model = covered_muscle([32, 32, 11], layer_pa, 0.45);
     // Cells are not exact cubes, as in models of anatomy.
     for (n, node) in model.nodes.iter_mut().enumerate() {
         let n = n as f64;
@@ -57,7 +64,7 @@ fn press(topology: &Topology, budget: impl Fn() -> Budget<'static>, every: usize
 
 /// Relative errors of a press with two quick iterations per tick.
 fn errors(layer_pa: f64) -> Vec<f64> {
-    let topology = covered_muscle(layer_pa);
+    let topology = uneven_slab(layer_pa);
     let quick = || Budget {
         near: true,
         ..Budget::new(2, 0.02)
@@ -75,5 +82,51 @@ fn quick_steps_feel_stiff_and_soft_layers() {
         let errors = errors(layer_pa);
         let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
         assert!(rms < 0.04, "layer of {layer_pa} Pa: {errors:.3?}");
+    }
+}
+
+/// Forces in N of a press to 18 mm at 100 mm/s, and the largest depth in m of a node of the surface in the ball.
+fn press_deep(topology: &Topology, budget: impl Fn() -> Budget<'static>) -> (Vec<f64>, f64) {
+    let mut tissue = Tissue::at_rest(topology.clone());
+    let mut sunk: f64 = 0.0;
+    let forces = (1..=45).map(|k| {
+        let depth = 0.4 * MM * k as f64;
+        // Off the nodes.
+        let centre = Vec3::new(49.0 * MM, 46.5 * MM, 40.0 * MM + RADIUS - depth);
+        let force = tissue
+            .step(&[Tool::ball(1, centre, RADIUS)], budget())
+            .reactions[0]
+            .force;
+        for n in 0..topology.node_count() as u32 {
+            let now = topology.rest(n) + tissue.shape().displacement[n as usize];
+            if topology.rest(n).z > 39.9 * MM {
+                sunk = sunk.max(RADIUS - (now - centre).norm());
+            }
+        }
+        force.z
+    });
+    (forces.collect(), sunk)
+}
+
+/// With a penalty alone the surface slid from under the ball at 13.6 mm.
+#[test]
+fn force_rises_while_a_ball_presses_fat_flat() {
+    for poisson in [0.25, 0.45] {
+        let model = covered_muscle([24, 24, 10], 3e3, poisson);
+        let topology = Topology::new(Arc::new(model));
+        let (exact, sunk) = press_deep(&topology, || Budget::new(100, 1e-3));
+        assert!(
+            exact.windows(2).all(|f| f[1] > f[0]),
+            "ν {poisson}: {exact:.3?}"
+        );
+        assert!(sunk < 0.1 * MM, "ν {poisson}: {sunk} m");
+        let quick = || Budget {
+            near: true,
+            ..Budget::new(2, 0.02)
+        };
+        let (quick, _) = press_deep(&topology, quick);
+        let apart = quick.iter().zip(&exact).map(|(q, e)| q / e - 1.0).skip(5);
+        let worst = apart.map(f64::abs).fold(0.0, f64::max);
+        assert!(worst < 0.1, "ν {poisson}: {worst}, {quick:.3?} {exact:.3?}");
     }
 }

@@ -338,7 +338,7 @@ fn four_times_the_samples_change_force_by_less_than_2_percent() {
     };
     let (few, many) = (press(3.001 * D), press(2.999 * D));
     assert!(
-        many.contacts > 2 * few.contacts,
+        many.contacts > 3 * few.contacts,
         "{} {}",
         many.contacts,
         few.contacts

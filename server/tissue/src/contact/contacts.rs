@@ -27,7 +27,7 @@ pub(crate) struct Contacts {
     place: Vec<u32>,
     /// Whether the shape has changed since the last update of the multipliers.
     pub(crate) is_solved: bool,
-    /// Whether the last update of the multipliers changed the forces.
+    /// Whether the last update of the multipliers changed the force of a tool.
     pub(crate) is_apart: bool,
     /// Whether a needle has changed its forces at the end of the last step.
     pub(crate) is_unsettled: bool,
@@ -54,11 +54,11 @@ impl Contacts {
         }
     }
 
-    /// Continues on a changed topology, maybe with fewer nodes.
+    /// Continues on the topology after an undo that has the levels rebuilt, maybe with fewer nodes.
     pub(crate) fn exchange(&mut self, topology: &Topology, index: &mut SurfaceIndex) {
         // Samples of the last step may refer to nodes that are gone.
         self.clear();
-        // An undo that has the levels rebuilt numbers all nodes of cuts anew.
+        // After such an undo all nodes made by cuts have other numbers.
         self.follow_nodes(topology, topology.model().nodes.len());
         self.place = laid_out(NONE, topology.node_count());
         std::mem::swap(&mut self.index, index);
@@ -292,15 +292,19 @@ impl Contacts {
         depth(v, radius)
     }
 
-    /// Passes the force of each sample on to the multipliers, once per shape. Fixed nodes cannot give way, so the penalty alone
-    /// presses on them.
+    /// Passes the force of each sample on to the multipliers, once per shape. Fixed nodes cannot give way, so the penalty
+    /// alone presses on them.
     pub(crate) fn augment(&mut self, u: &[Vec3], fixed: &[bool], spacing: f64) {
-        self.is_apart &= !self.samples.is_empty();
-        if self.samples.is_empty() || !std::mem::take(&mut self.is_solved) {
+        if self.samples.is_empty() {
+            self.is_apart = false;
             return;
         }
-        let (mut before, mut pressed) = (0.0, 0.0);
+        if !std::mem::take(&mut self.is_solved) {
+            return;
+        }
+        self.is_apart = false;
         for i in 0..self.proxies.len() {
+            let (mut before, mut pressed) = (0.0, 0.0);
             let mut changes = Vec::new();
             for s in self.samples.iter().filter(|s| s.proxy == i as u32) {
                 let force = self.force_over_stiffness(s, u).0;
@@ -316,21 +320,20 @@ impl Contacts {
             }
             let most = MULTIPLIER_MAX * spacing;
             self.proxies[i].multipliers.add(changes, most);
+            let now = self.read_multipliers(i);
+            self.is_apart |= (now - before).abs() > STEADY * pressed;
         }
-        self.read_multipliers();
-        let now: f64 = self
-            .samples
-            .iter()
-            .map(|s| s.stiffness * s.multiplier)
-            .sum();
-        self.is_apart = (now - before).abs() > STEADY * pressed;
     }
 
-    fn read_multipliers(&mut self) {
-        for s in &mut self.samples {
-            let multipliers = &self.proxies[s.proxy as usize].multipliers;
+    /// Passes the multipliers of proxy `i` on to its samples. Returns their sum in N.
+    fn read_multipliers(&mut self, i: usize) -> f64 {
+        let multipliers = &self.proxies[i].multipliers;
+        let mut sum = 0.0;
+        for s in self.samples.iter_mut().filter(|s| s.proxy == i as u32) {
             s.multiplier = multipliers.at(&s.nodes, &s.weights);
+            sum += s.stiffness * s.multiplier;
         }
+        sum
     }
 
     /// The multipliers of each proxy.
@@ -341,10 +344,10 @@ impl Contacts {
 
     /// Returns to the multipliers of an earlier shape.
     pub(crate) fn restore(&mut self, multipliers: Vec<Multipliers>) {
-        for (proxy, multipliers) in self.proxies.iter_mut().zip(multipliers) {
-            proxy.multipliers = multipliers;
+        for (i, multipliers) in multipliers.into_iter().enumerate() {
+            self.proxies[i].multipliers = multipliers;
+            self.read_multipliers(i);
         }
-        self.read_multipliers();
         self.is_solved = false;
     }
 

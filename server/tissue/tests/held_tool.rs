@@ -1,0 +1,93 @@
+//! A tool that is held still.
+
+use std::sync::Arc;
+
+use palpate_tissue::{Budget, Material, Tissue, Tool, Topology, Vec3, block};
+
+const MM: f64 = 1e-3;
+const CELL: f64 = 4.0 * MM;
+const RADIUS: f64 = 8.0 * MM;
+
+/// A block of 64 x 64 x 32 mm whose lowest cells are pinned.
+fn slab(pinned: usize) -> Topology {
+    let material = Material {
+        young_pa: 10e3,
+        ..Material::default()
+    };
+    Topology::new(Arc::new(block([16, 16, 8], CELL, &material, pinned)))
+}
+
+/// A ball so deep in its top.
+fn above(depth: f64) -> Vec3 {
+    Vec3::new(33.0 * MM, 30.5 * MM, 32.0 * MM + RADIUS - depth)
+}
+
+/// A ball so deep in the side of its pinned base.
+fn beside(depth: f64) -> Vec3 {
+    Vec3::new(depth - RADIUS, 30.5 * MM, 7.0 * MM)
+}
+
+/// Forces in N of quick steps.
+fn hold(tissue: &mut Tissue, centre: impl Fn(f64) -> Vec3, ticks: usize) -> Vec<f64> {
+    let budget = || Budget {
+        near: true,
+        ..Budget::new(2, 0.02)
+    };
+    // A hand never holds quite still.
+    let forces = (0..ticks).map(|k| {
+        let tool = Tool::ball(1, centre(1e-6 * (k % 2) as f64), RADIUS);
+        tissue.step(&[tool], budget()).reactions[0].force.norm()
+    });
+    forces.collect()
+}
+
+#[test]
+fn held_ball_keeps_its_force() {
+    // The side of a pinned base cannot give way; multipliers alone would grow at every step.
+    let mut tissue = Tissue::at_rest(slab(4));
+    let forces = hold(&mut tissue, |by| beside(MM + by), 200);
+    let last = forces[199];
+    assert!(last > 0.5, "{last}");
+    assert!(
+        forces[40..].iter().all(|f| (f / last - 1.0).abs() < 0.01),
+        "{forces:.3?}"
+    );
+
+    // Tissue of one cell on a pinned base.
+    let topology = slab(7);
+    let mut exact = Tissue::at_rest(topology.clone());
+    let mut tissue = Tissue::at_rest(topology);
+    for k in 1..=15 {
+        let tool = Tool::ball(1, above(0.2 * MM * f64::from(k)), RADIUS);
+        exact.step(&[tool], Budget::new(200, 1e-5));
+        hold(&mut tissue, |_| tool.centre, 1);
+    }
+    let exact = exact.report().reactions[0].force.norm();
+    let forces = hold(&mut tissue, |by| above(3.0 * MM + by), 60);
+    assert!(
+        forces[5..].iter().all(|f| (f / exact - 1.0).abs() < 0.01),
+        "{exact} {forces:.3?}"
+    );
+}
+
+#[test]
+fn unmoved_tool_costs_nothing_once_its_force_is_found() {
+    // Tissue, one cell on a pinned base pressed flat, the side of the base, and a tool that has left.
+    let places = [(1, above(5.0 * MM)), (7, above(3.5 * MM)), (4, beside(MM))];
+    for (pinned, centre) in places {
+        let mut tissue = Tissue::at_rest(slab(pinned));
+        let far = centre + Vec3::new(-0.1, 0.0, 0.1);
+        for (at, is_pressed) in [(centre, true), (far, false)] {
+            let mut iterations = Vec::new();
+            for _ in 0..60 {
+                let report = tissue.step(&[Tool::ball(1, at, RADIUS)], Budget::new(4, 0.02));
+                assert!(!is_pressed || report.reactions[0].force.norm() > 0.1);
+                iterations.push(report.iterations);
+            }
+            assert!(
+                iterations[40..].iter().all(|&n| n == 0),
+                "{pinned} {iterations:?}"
+            );
+        }
+    }
+}
