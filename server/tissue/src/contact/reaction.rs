@@ -229,8 +229,8 @@ impl Contacts {
         (samples, nearest)
     }
 
-    /// Updates the stiffness estimate in N/m of the tool of proxy `i` from its reaction. `own` is the stiffness of a
-    /// node under it.
+    /// Updates the stiffness estimate in N/m of the tool of proxy `i` from its reaction, at first touch to force over
+    /// indentation. `own` is the stiffness of a node under it, for the first estimate of an inserted needle.
     pub(crate) fn learn(
         &mut self,
         u: &[Vec3],
@@ -242,8 +242,18 @@ impl Contacts {
         let middle = self.middle(u, i);
         let proxy = &mut self.proxies[i];
         if !proxy.secant.is_known() {
-            let wide = (proxy.radius / spacing).max(0.5) * proxy.core.spans(spacing).sqrt();
-            let first = 0.5 * own * wide;
+            let first = if reaction.contact_patches.is_empty() {
+                let wide = (proxy.radius / spacing).max(0.5) * proxy.core.spans(spacing).sqrt();
+                0.5 * own * wide
+            } else {
+                let along = |p: &ContactPatch| p.force.dot(&reaction.normal) / p.indentation_m;
+                reaction
+                    .contact_patches
+                    .iter()
+                    .map(along)
+                    .sum::<f64>()
+                    .max(0.0)
+            };
             proxy.secant.start(&reaction.normal, first, 0.3);
         }
         proxy.secant.learn(middle, reaction.force, 0.01 * spacing);
