@@ -29,7 +29,7 @@ fn covered_muscle(cells: [usize; 3], layer_pa: f64, poisson: f64) -> Model {
     model.regions.push(layer);
     let below = cells[2] as i32 - 2;
     for cell in &mut model.cells {
-        if i32::from(model.lattice[cell.corners[0] as usize][2]) >= below {
+        if model.lattice[cell.corners[0] as usize][2] >= below {
             cell.region = id;
         }
     }
@@ -90,7 +90,7 @@ fn press_deep(topology: &Topology, budget: impl Fn() -> Budget<'static>) -> (Vec
     let mut tissue = Tissue::at_rest(topology.clone());
     let mut sunk: f64 = 0.0;
     let forces = (1..=45).map(|k| {
-        let depth = 0.4 * MM * k as f64;
+        let depth = 0.4 * MM * f64::from(k);
         // Off the nodes.
         let centre = Vec3::new(49.0 * MM, 46.5 * MM, 40.0 * MM + RADIUS - depth);
         let force = tissue
