@@ -70,6 +70,32 @@ fn held_ball_keeps_its_force() {
     );
 }
 
+/// A force is found to the tolerance of its own size, also after a greater one.
+#[test]
+fn ball_that_is_drawn_back_and_held_finds_its_force() {
+    let topology = slab(1);
+    let mut tissue = Tissue::at_rest(topology.clone());
+    for k in (0..25).chain((7..25).rev()) {
+        hold(&mut tissue, |_| above(0.4 * MM * f64::from(k)), 1);
+    }
+    let centre = above(2.8 * MM);
+    let mut iterations = Vec::new();
+    for _ in 0..150 {
+        let budget = Budget {
+            near: true,
+            ..Budget::new(2, 0.02)
+        };
+        let report = tissue.step(&[Tool::ball(1, centre, RADIUS)], budget);
+        iterations.push(report.iterations);
+    }
+    let force = tissue.report().reactions[0].force.norm();
+    let mut exact = Tissue::at_rest(topology);
+    exact.step(&[Tool::ball(1, centre, RADIUS)], Budget::new(200, 1e-5));
+    let exact = exact.report().reactions[0].force.norm();
+    assert!((force / exact - 1.0).abs() < 0.01, "{force} {exact}");
+    assert!(iterations[120..].iter().all(|&n| n == 0), "{iterations:?}");
+}
+
 #[test]
 fn unmoved_tool_costs_nothing_once_its_force_is_found() {
     // Tissue, one cell on a pinned base pressed flat, the side of the base, and a tool that has left.

@@ -85,6 +85,30 @@ fn quick_steps_feel_stiff_and_soft_layers() {
     }
 }
 
+/// What a deep press leaves in the tissue is not work for the steps of a withdrawal.
+#[test]
+fn withdrawal_refines_hardly_more_nodes_than_the_press() {
+    for layer_pa in [130e3, 3e3] {
+        let mut tissue = Tissue::at_rest(uneven_slab(layer_pa));
+        let mut nodes = |k: i32| {
+            let depth = 0.4 * MM * f64::from(k);
+            let centre = Vec3::new(65.0 * MM, 62.5 * MM, 44.0 * MM + RADIUS - depth);
+            let budget = Budget {
+                near: true,
+                ..Budget::new(2, 0.02)
+            };
+            let report = tissue.step(&[Tool::ball(1, centre, RADIUS)], budget);
+            report.active_nodes
+        };
+        let pressed = (1..=37).map(&mut nodes).max().unwrap();
+        let withdrawn = (0..37).rev().map(&mut nodes).max().unwrap();
+        assert!(
+            withdrawn < pressed * 3 / 2,
+            "layer of {layer_pa} Pa: {withdrawn} and {pressed} nodes"
+        );
+    }
+}
+
 /// Forces in N of a press to 18 mm at 100 mm/s, and the largest depth in m of a node of the surface in the ball.
 fn press_deep(topology: &Topology, budget: impl Fn() -> Budget<'static>) -> (Vec<f64>, f64) {
     let mut tissue = Tissue::at_rest(topology.clone());

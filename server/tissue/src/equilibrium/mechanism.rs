@@ -76,6 +76,8 @@ mechanisms! {
     ReferenceReturn "reference-return",
     /// Lower bound of the force that residuals are relative to.
     LeastReference "least-reference",
+    /// The force that residuals are relative to falls slowly.
+    FadingReference "fading-reference",
     /// Small distant forces are dropped some steps after a cut.
     Settling "settling",
 }

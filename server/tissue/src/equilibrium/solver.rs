@@ -50,6 +50,9 @@ pub(super) const INITIAL_THRESHOLD: f64 = 0.25;
 /// Lower bound of the reference residual, in spacings times the stiffness of a node; of full and of quick steps. It
 /// keeps the relative residual defined after a release. No eye sees smaller forces; no hand feels a fifth of them.
 const LEAST: [f64; 2] = [0.1, 0.02];
+/// Quick steps: part of the reference residual that a step keeps when the forces fall. Relative to the force of the moment,
+/// what a deep press leaves behind exceeds the threshold everywhere: a withdrawal refined up to half of a thigh.
+const FADE: f64 = 0.9;
 /// Tolerance below which the threshold is lowered that far. Above it, one reduction is enough: a thousand distant nodes
 /// with a thousandth of the residual each do not change the force on a tool.
 const PROVEN: f64 = 1e-3;
@@ -77,6 +80,8 @@ pub(crate) struct Solver {
     pub(super) held: Vec<u32>,
     pub(super) work_limit: WorkLimit,
     pub(super) reference: f64,
+    /// Whether the reference residual is still that of greater forces.
+    pub(super) is_fading: bool,
     /// Equilibrium without tools, if it differs from the rest shape.
     pub(super) reference_state: Option<Arc<ReferenceState>>,
     /// Whether the shape is known to have started from the reference state.
@@ -142,6 +147,7 @@ impl Solver {
             held: Vec::new(),
             work_limit: WorkLimit::NONE,
             reference: 0.0,
+            is_fading: false,
             reference_state,
             has_started: false,
             report: StepReport::default(),
@@ -220,7 +226,7 @@ impl Solver {
         self.report.steady = true;
         self.report.visits = [0; 2];
         self.report.rolled_back = false;
-        let is_settled = self.report.lag_m == 0.0 && !self.contacts.is_apart;
+        let is_settled = self.report.lag_m == 0.0 && !self.contacts.is_apart && !self.is_fading;
         if !changed && is_settled && self.report.residual <= budget.tolerance {
             self.settle(budget.tolerance);
             return &self.report;
@@ -285,13 +291,15 @@ impl Solver {
         let first = (jumped || touches) && self.uses(Mechanism::FirstTouch);
         let due = if first { DUE } else { 1 };
         let mut smoothing = None;
+        let fades = quick && self.uses(Mechanism::FadingReference);
+        let recent = if fades { FADE * self.reference } else { 0.0 };
         loop {
             if !quick {
                 let spacing = topology.model().spacing_m;
                 self.contacts.augment(u, &self.fine.fixed, spacing);
             }
             self.fine.refresh(&self.hierarchy, u);
-            let allowed = self.allowed_residual(u, budget.tolerance, quick);
+            let allowed = self.allowed_residual(u, budget.tolerance, quick, recent);
             let last = if budget.tolerance < PROVEN {
                 0.5 / (self.fine.unbalanced_count() as f64 + 1.0).sqrt()
             } else if budget.tolerance < QUICK {
@@ -464,8 +472,8 @@ impl Solver {
         lags
     }
 
-    /// Stage: the residual in N that the tolerance allows, relative to the forces of tools and held nodes.
-    fn allowed_residual(&mut self, u: &[Vec3], tolerance: f64, near: bool) -> f64 {
+    /// Stage: the residual in N that the tolerance allows, relative to the forces of tools and held nodes, or to `recent` N.
+    fn allowed_residual(&mut self, u: &[Vec3], tolerance: f64, near: bool, recent: f64) -> f64 {
         let square = |n: u32| {
             let r = &self.fine.r[n as usize];
             r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>()
@@ -475,11 +483,16 @@ impl Solver {
         if self.held.is_empty() && self.contacts.proxies.is_empty() {
             sum += self.fine.square_of_weights();
         }
-        if sum > 0.0 {
+        self.is_fading = recent > sum.sqrt();
+        if self.is_fading {
+            self.reference = recent;
+        } else if sum > 0.0 {
             self.reference = sum.sqrt();
         }
         if tolerance >= PROVEN && self.uses(Mechanism::LeastReference) {
-            self.reference = self.reference.max(LEAST[usize::from(near)] * self.least);
+            let least = LEAST[usize::from(near)] * self.least;
+            self.is_fading &= self.reference > least;
+            self.reference = self.reference.max(least);
         }
         tolerance * self.reference
     }
