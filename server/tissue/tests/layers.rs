@@ -85,7 +85,7 @@ fn quick_steps_feel_stiff_and_soft_layers() {
     }
 }
 
-/// What a deep press leaves in the tissue is not work for the steps of a withdrawal.
+/// Residual forces of a deep press add no work to its withdrawal.
 #[test]
 fn withdrawal_refines_hardly_more_nodes_than_the_press() {
     for layer_pa in [130e3, 3e3] {

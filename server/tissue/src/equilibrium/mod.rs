@@ -30,16 +30,17 @@
 //! # Performance
 //!
 //! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine. Cube from rest to 1 %: 6.5 ms with
-//! 8,000 nodes, 45 ms with 64,000. A real thigh of 70,000 nodes pressed at 100 mm/s: 1.3 ms per tick (99 % below
-//! 1.8 ms), force error above 0.5 N 0.6 % rms, 1.4 % at most; withdrawal 1.4 ms (2.5 ms), 1.1 % rms, 2.6 % at most. With
-//! 528,000 nodes: 1.6 ms (2.5 ms), 5.1 % rms; withdrawal 2.5 ms (4.9 ms), 5.5 % rms.
+//! 8,000 nodes, 45 ms with 64,000. A real thigh of 70,000 nodes pressed at 100 mm/s: 1.2 ms per tick (99 % below
+//! 1.6 ms), force error above 0.5 N 0.6 % rms, 1.3 % at most; withdrawal 1.3 ms (1.9 ms), 0.9 % rms, 1.6 % at most. With
+//! 528,000 nodes: 1.5 ms (2.6 ms), 4 to 15 % rms by place and path; withdrawal 2.2 ms (3.1 ms), 5 to 12 % rms.
 //!
 //! # Limits
 //!
 //! Coarse operators follow hardening but not rotation. Tissue without `bottoms_out` folds from 30 % of a layer's thickness
-//! on. A Poisson's ratio of 0.45 takes twice the iterations of springs alone, 0.49 twenty times. A point tool (radius below
-//! half a spacing) feels the corners of the mesh, and slips between the samples of a soft surface when it is pressed deeper
-//! than its own radius.
+//! on. Tissue of springs alone that is pressed flat on bone has several states: a held tool feels 4 % of scatter (8 mm of
+//! tissue, 7.8 mm deep). A Poisson's ratio of 0.45 takes twice the iterations of springs alone, 0.49 twenty times. A point
+//! tool (radius below half a spacing) feels the corners of the mesh, and slips between the samples of a soft surface when
+//! it is pressed deeper than its own radius.
 
 // SIMD code must be inlined into the dispatched function.
 #![allow(clippy::inline_always)]

@@ -50,8 +50,8 @@ pub(super) const INITIAL_THRESHOLD: f64 = 0.25;
 /// Lower bound of the reference residual, in spacings times the stiffness of a node; of full and of quick steps. It
 /// keeps the relative residual defined after a release. No eye sees smaller forces; no hand feels a fifth of them.
 const LEAST: [f64; 2] = [0.1, 0.02];
-/// Quick steps: part of the reference residual that a step keeps when the forces fall. Relative to the force of the moment,
-/// what a deep press leaves behind exceeds the threshold everywhere: a withdrawal refined up to half of a thigh.
+/// Quick steps: part of the reference residual that a step keeps when the forces fall. Relative to the current force,
+/// residuals of a deep press exceed the threshold everywhere: a withdrawal refined up to half of a thigh.
 const FADE: f64 = 0.9;
 /// Tolerance below which the threshold is lowered that far. Above it, one reduction is enough: a thousand distant nodes
 /// with a thousandth of the residual each do not change the force on a tool.
