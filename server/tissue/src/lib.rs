@@ -50,6 +50,7 @@ mod fit;
 pub mod material;
 mod model;
 pub mod nearest;
+mod number_map;
 mod pages;
 mod rows;
 mod shape;

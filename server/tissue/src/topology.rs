@@ -282,6 +282,12 @@ impl Topology {
         self.cell_volume[cell as usize]
     }
 
+    /// Whether all cells around a node exist and are uncut, so that the node is on no surface.
+    pub(crate) fn is_within(&self, node: u32) -> bool {
+        let is_whole = |cell: u32| cell != NO_CELL && self.cut[cell as usize] == 0;
+        self.node_cells[node as usize].into_iter().all(is_whole)
+    }
+
     /// Whether a node is on the outer surface.
     pub fn on_boundary(&self, node: u32) -> bool {
         let cells = self.node_cells[node as usize];

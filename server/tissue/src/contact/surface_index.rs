@@ -58,6 +58,10 @@ impl SurfaceChange {
         let mut change = Self::default();
         let mut near = Vec::new();
         for &node in touched {
+            if topology.is_within(node) {
+                change.around.push((node, Vec::new()));
+                continue;
+            }
             let faces = topology.exposed_faces(node);
             let own = faces.flat_map(|position| [2 * position as u32, 2 * position as u32 + 1]);
             let mut own: Vec<u32> = own.collect();

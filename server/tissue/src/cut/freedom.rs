@@ -29,6 +29,10 @@ pub(crate) fn freedom(topology: &Topology, node: u32) -> Freedom {
         return Freedom::Pinned;
     }
     let cells = topology.node_cells[node as usize];
+    let region = |cell: &u32| topology.region(*cell);
+    if topology.is_within(node) && cells.iter().all(|c| region(c) == region(&cells[0])) {
+        return Freedom::Free;
+    }
     let mut normals = Matrix3::zeros();
     let mut total = 0.0;
     for (slot, &cell) in cells.iter().enumerate().filter(|c| *c.1 != NO_CELL) {

@@ -6,15 +6,43 @@ use std::collections::BTreeMap;
 use super::sheet::nodes_of;
 use crate::cell::{FACES, NO_CELL};
 use crate::nearest::{Feature, nearest_feature};
+use crate::number_map::NumberSet;
 use crate::{FaceId, RegionId, Topology, Vec3};
 
 /// Rounds of projections onto several surfaces (alternating projections), and rings of cells whose faces count.
 const ROUNDS: usize = 4;
 const RINGS: usize = 3;
+/// Relative margin for rounding.
+const ROUNDING: f64 = 1e-9;
 
-/// Triangles of each surface near a node, by both diagonals of every face.
+/// Faces of each surface near a node.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Interfaces(Vec<Vec<[Vec3; 3]>>);
+pub(crate) struct Interfaces(Vec<Vec<Quadrilateral>>);
+
+/// A face as four triangles, by both diagonals, in a ball.
+#[derive(Debug, Clone)]
+struct Quadrilateral {
+    corners: [Vec3; 4],
+    middle: Vec3,
+    radius: f64,
+}
+
+impl Quadrilateral {
+    fn new(corners: [Vec3; 4]) -> Self {
+        let middle = corners.iter().sum::<Vec3>() / 4.0;
+        let radii = corners.iter().map(|x| (x - middle).norm());
+        Self {
+            corners,
+            middle,
+            radius: radii.fold(0.0, f64::max),
+        }
+    }
+
+    fn triangles(&self) -> [[Vec3; 3]; 4] {
+        let [a, b, c, d] = self.corners;
+        [[a, b, c], [a, c, d], [a, b, d], [b, c, d]]
+    }
+}
 
 /// Two regions, or one and the outside.
 type Pair = (RegionId, Option<RegionId>);
@@ -39,16 +67,15 @@ impl Interfaces {
         let faces = faces_around(topology, node, |face| {
             model.cells[face.cell() as usize].neighbours[face.face()]
         });
-        let mut found: BTreeMap<Pair, (bool, Vec<[Vec3; 3]>)> = BTreeMap::new();
+        let mut found: BTreeMap<Pair, (bool, Vec<Quadrilateral>)> = BTreeMap::new();
         for face in faces {
             if let Some(pair) = pair_at(topology, face) {
                 let corners =
                     FACES[face.face()].map(|i| model.cells[face.cell() as usize].corners[i]);
                 let entry = found.entry(pair).or_default();
                 entry.0 |= corners.contains(&built);
-                entry
-                    .1
-                    .extend(triangles(corners.map(|n| model.nodes[n as usize])));
+                let corners = corners.map(|n| model.nodes[n as usize]);
+                entry.1.push(Quadrilateral::new(corners));
             }
         }
         let mut surfaces: Vec<_> = found.into_values().filter(|e| e.0).map(|e| e.1).collect();
@@ -56,7 +83,7 @@ impl Interfaces {
             let faces = faces_around(topology, node, |face| topology.across(face)).into_iter();
             let opened = faces.filter(|&f| topology.is_opened(f));
             let corners = opened.map(|f| nodes_of(topology, f).map(|n| topology.rest(n)));
-            surfaces.push(corners.flat_map(triangles).collect());
+            surfaces.push(corners.map(Quadrilateral::new).collect());
         }
         Self(surfaces)
     }
@@ -76,15 +103,15 @@ impl Interfaces {
     /// A place on them near `p`: projected onto one after the other.
     pub(crate) fn project(&self, mut p: Vec3) -> Vec3 {
         let rounds = if self.0.len() > 1 { ROUNDS } else { 1 };
-        for triangles in self.0.iter().cycle().take(rounds * self.0.len()) {
-            p = nearest(triangles, &p);
+        for faces in self.0.iter().cycle().take(rounds * self.0.len()) {
+            p = nearest(faces, &p);
         }
         p
     }
 
     /// Distance of `p` from the farthest of them.
     pub(crate) fn distance(&self, p: &Vec3) -> f64 {
-        let distances = self.0.iter().map(|t| (nearest(t, p) - p).norm());
+        let distances = self.0.iter().map(|faces| (nearest(faces, p) - p).norm());
         distances.fold(0.0, f64::max)
     }
 }
@@ -93,32 +120,39 @@ impl Interfaces {
 fn faces_around(topology: &Topology, node: u32, behind: impl Fn(FaceId) -> u32) -> Vec<FaceId> {
     let own = topology.node_cells[node as usize].into_iter();
     let mut cells: Vec<u32> = own.filter(|&c| c != NO_CELL).collect();
-    let faces = |cells: &[u32]| -> Vec<FaceId> {
-        let faces = |&c: &u32| (0..6).map(move |f| FaceId::new(c, f));
-        cells.iter().flat_map(faces).collect()
-    };
+    let mut known: NumberSet<u32> = cells.iter().copied().collect();
+    let faces = |&c: &u32| (0..6).map(move |f| FaceId::new(c, f));
+    let mut from = 0;
     for _ in 0..RINGS {
-        let more = faces(&cells).into_iter().map(&behind);
-        cells.extend(more.filter(|&c| c != NO_CELL));
-        cells.sort_unstable();
-        cells.dedup();
+        let last = std::mem::replace(&mut from, cells.len());
+        let more: Vec<u32> = cells[last..].iter().flat_map(faces).map(&behind).collect();
+        let is_new = |c: &u32| *c != NO_CELL && known.insert(*c);
+        cells.extend(more.into_iter().filter(is_new));
     }
-    faces(&cells)
+    cells.sort_unstable();
+    cells.iter().flat_map(faces).collect()
 }
 
-fn triangles([a, b, c, d]: [Vec3; 4]) -> [[Vec3; 3]; 4] {
-    [[a, b, c], [a, c, d], [a, b, d], [b, c, d]]
-}
-
-fn nearest(triangles: &[[Vec3; 3]], p: &Vec3) -> Vec3 {
+/// The point of faces nearest to `p`, by the first triangle that has it.
+fn nearest(faces: &[Quadrilateral], p: &Vec3) -> Vec3 {
+    // A corner is at this distance, and no point of a face is nearer than its ball.
+    let corners = faces
+        .iter()
+        .map(|face| (face.corners[0] - p).norm_squared());
+    let bound = corners.fold(f64::INFINITY, f64::min).sqrt();
+    let is_near = |face: &&Quadrilateral| {
+        let reach = (bound + face.radius) * (1.0 + ROUNDING);
+        (face.middle - p).norm_squared() <= reach * reach
+    };
     let mut best = (f64::INFINITY, *p);
-    for corners in triangles {
+    let near = faces.iter().filter(is_near);
+    for corners in near.flat_map(Quadrilateral::triangles) {
         // No point of it is nearer than its first corner by more than its longest edge there; (a + b)² <= 2 a² + 2 b².
         let edges = [1, 2].map(|i| (corners[i] - corners[0]).norm_squared());
         if (corners[0] - p).norm_squared() > 2.0 * (best.0 + edges[0].max(edges[1])) {
             continue;
         }
-        let q = match nearest_feature(p, corners) {
+        let q = match nearest_feature(p, &corners) {
             Feature::Corner(i) => corners[i],
             Feature::Edge(i, j, part) => corners[i] + (corners[j] - corners[i]) * part,
             Feature::Face(weights) => {
@@ -133,4 +167,40 @@ fn nearest(triangles: &[[Vec3; 3]], p: &Vec3) -> Vec3 {
         }
     }
     best.1
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn place() -> impl Strategy<Value = Vec3> {
+        prop::array::uniform3(-3.0..3.0f64).prop_map(Vec3::from)
+    }
+
+    fn face() -> impl Strategy<Value = Quadrilateral> {
+        let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+        let corner = prop::array::uniform3(-0.4..0.4f64).prop_map(Vec3::from);
+        (place(), prop::array::uniform4(corner)).prop_map(move |(at, off)| {
+            let corner = |i: usize| at + off[i] + Vec3::new(corners[i][0], corners[i][1], 0.0);
+            Quadrilateral::new(std::array::from_fn(corner))
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn nearest_point_is_that_of_every_single_face(
+            faces in prop::collection::vec(face(), 1..30),
+            p in place(),
+        ) {
+            let distance = |q: Vec3| (q - p).norm_squared();
+            let alone = faces.chunks(1).map(|face| nearest(face, &p));
+            let first = alone.fold(None, |best: Option<Vec3>, q| match best {
+                Some(known) if distance(known) <= distance(q) => best,
+                _ => Some(q),
+            });
+            prop_assert_eq!(Some(nearest(&faces, &p)), first);
+        }
+    }
 }

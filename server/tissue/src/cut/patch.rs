@@ -3,11 +3,13 @@
 //! Nodes of the sheet come first, then the other nodes within three rings of it, then the other corners of their
 //! cells. Those, pinned nodes and nodes at the front of earlier cuts stay where they are.
 
-use std::collections::HashMap;
+use std::cell::OnceCell;
+use std::collections::hash_map::Entry;
 
 use super::freedom::{Freedom, freedom};
 use super::soundness::{CORNER_FLOOR, SPRING_FLOOR, Soundness};
 use crate::cell::NO_CELL;
+use crate::number_map::NumberMap;
 use crate::{FaceId, Topology, Vec3};
 
 /// Rings of neighbours around the sheet that make room for it.
@@ -34,8 +36,10 @@ pub(crate) struct Patch {
     pub(crate) cells: Vec<[u32; 8]>,
     /// Cells around each movable node, [`NO_CELL`] where there is none.
     pub(crate) around: Vec<[u32; 8]>,
-    /// Least corner volume and spring length of each cell: the floors, or those before the cut where they are less.
-    pub(crate) floors: Vec<Soundness>,
+    /// The floors of all cells.
+    floor: Soundness,
+    /// Floors of single cells, since they were first asked for.
+    floors: Vec<OnceCell<Soundness>>,
     pub(crate) spacing: f64,
 }
 
@@ -43,7 +47,7 @@ impl Patch {
     /// The patch around the nodes of a sheet.
     pub(crate) fn around(topology: &Topology, sheet: &[u32]) -> Self {
         let mut ids: Vec<u32> = sheet.to_vec();
-        let mut places: HashMap<u32, u32> = (0..).zip(sheet).map(|(i, &n)| (n, i)).collect();
+        let mut places: NumberMap<u32, u32> = (0..).zip(sheet).map(|(i, &n)| (n, i)).collect();
         let mut holds: Vec<Freedom> = sheet.iter().map(|&n| freedom(topology, n)).collect();
         let mut front = ids.clone();
         for _ in 0..RINGS {
@@ -52,20 +56,22 @@ impl Patch {
                 for (slot, &cell) in topology.node_cells[node as usize].iter().enumerate() {
                     if cell != NO_CELL {
                         let corners = topology.corners(cell);
-                        next.extend([1, 2, 4].map(|step| corners[slot ^ step]));
+                        let others = [1, 2, 4].map(|step| corners[slot ^ step]);
+                        // Nodes that may not move are numbered at the end.
+                        for other in others {
+                            if let Entry::Vacant(place) = places.entry(other) {
+                                place.insert(u32::MAX);
+                                next.push(other);
+                            }
+                        }
                     }
                 }
             }
             next.sort_unstable();
-            next.dedup();
-            next.retain(|n| !places.contains_key(n));
             for &node in &next {
-                // Nodes that may not move are numbered at the end.
                 let hold = freedom(topology, node);
-                let is_loose = hold != Freedom::Pinned && !topology.is_at_front(node);
-                let place = if is_loose { ids.len() as u32 } else { u32::MAX };
-                places.insert(node, place);
-                if is_loose {
+                if hold != Freedom::Pinned && !topology.is_at_front(node) {
+                    places.insert(node, ids.len() as u32);
                     ids.push(node);
                     holds.push(hold);
                 }
@@ -101,7 +107,7 @@ impl Patch {
         }
         let start: Vec<Vec3> = ids.iter().map(|&n| topology.rest(n)).collect();
         let spacing = topology.model.spacing_m;
-        let mut patch = Self {
+        Self {
             at: start.clone(),
             start,
             ids,
@@ -109,42 +115,65 @@ impl Patch {
             sheet: sheet.len(),
             movable,
             cell_ids,
+            floors: vec![OnceCell::new(); cells.len()],
             cells,
             around,
-            floors: Vec::new(),
+            floor: Soundness {
+                volume: CORNER_FLOOR * spacing.powi(3),
+                spring: (SPRING_FLOOR * spacing).powi(2),
+            },
             spacing,
-        };
-        let floor = Soundness {
-            volume: CORNER_FLOOR * spacing.powi(3),
-            spring: (SPRING_FLOOR * spacing).powi(2),
-        };
-        patch.floors = (0..patch.cells.len())
-            .map(|c| Soundness::of(&patch.corners(c)).min(&floor))
-            .collect();
-        patch
+        }
     }
 
     pub(crate) fn corners(&self, cell: usize) -> [Vec3; 8] {
         self.cells[cell].map(|n| self.at[n as usize])
     }
 
+    /// Least corner volume and spring length of a cell: the floors, or those before the cut where they are less.
+    pub(crate) fn floor(&self, cell: usize) -> Soundness {
+        let floor = || {
+            let start = self.cells[cell].map(|n| self.start[n as usize]);
+            Soundness::of(&start).min(&self.floor)
+        };
+        *self.floors[cell].get_or_init(floor)
+    }
+
+    /// Whether a cell is not below its floor.
+    pub(crate) fn is_sound(&self, cell: usize) -> bool {
+        let now = Soundness::of(&self.corners(cell));
+        now.is_above(&self.floor) || now.is_above(&self.floor(cell))
+    }
+
+    /// Whether each cell has a corner that moved. The others are as sound as before.
+    pub(crate) fn changed(&self) -> Vec<bool> {
+        let is_moved: Vec<bool> = self
+            .at
+            .iter()
+            .zip(&self.start)
+            .map(|(x, o)| x != o)
+            .collect();
+        let any = |corners: &[u32; 8]| corners.iter().any(|&n| is_moved[n as usize]);
+        self.cells.iter().map(any).collect()
+    }
+
     /// Cells that are not sound.
     pub(crate) fn unsound(&self) -> Vec<usize> {
-        (0..self.cells.len())
-            .filter(|&c| !Soundness::of(&self.corners(c)).is_above(&self.floors[c]))
-            .collect()
+        let changed = self.changed().into_iter().enumerate();
+        let changed = changed.filter_map(|(c, is_changed)| is_changed.then_some(c));
+        changed.filter(|&c| !self.is_sound(c)).collect()
     }
 
     /// Takes back the ways of nodes, half by half, until all cells are sound.
     pub(crate) fn backtrack(&mut self) {
         let target: Vec<Vec3> = self.at[..self.movable].to_vec();
         let mut halvings = vec![0_u8; self.movable];
-        let mut suspects: Vec<u32> = (0..self.cells.len() as u32).collect();
+        let mut suspects: Vec<u32> = self.unsound().into_iter().map(|c| c as u32).collect();
         while !suspects.is_empty() {
             let mut back: Vec<u32> = Vec::new();
             for &cell in &suspects {
                 let c = cell as usize;
-                if !Soundness::of(&self.corners(c)).is_above(&self.floors[c]) {
+                if !self.is_sound(c) {
                     let nodes = self.cells[c].into_iter();
                     back.extend(nodes.filter(|&n| {
                         (n as usize) < self.movable && self.at[n as usize] != self.start[n as usize]

@@ -147,7 +147,7 @@ impl<'a> Projections<'a> {
     }
 
     fn sweep(&mut self, most: usize) {
-        let mut active = vec![true; self.patch.cells.len()];
+        let mut active = self.patch.changed();
         for sweep in 1..=most {
             for c in 0..active.len() {
                 let is_unsound = std::mem::take(&mut active[c]) && self.correct(c);
@@ -200,13 +200,12 @@ impl<'a> Projections<'a> {
 
     /// Projects onto the constraints of a cell that are violated; whether there are any.
     fn correct(&mut self, c: usize) -> bool {
-        let floor = self.patch.floors[c];
-        let now = Soundness::of(&self.patch.corners(c));
-        if now.is_above(&floor) {
+        if self.patch.is_sound(c) {
             return false;
         }
+        let floor = self.patch.floor(c);
         let cell = self.patch.cells[c].map(|n| n as usize);
-        if now.spring < floor.spring {
+        if Soundness::of(&self.patch.corners(c)).spring < floor.spring {
             for [a, b] in PAIRS.map(|pair| pair.map(|i| cell[i])) {
                 let d = self.patch.at[b] - self.patch.at[a];
                 let length = d.norm();

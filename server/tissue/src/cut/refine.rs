@@ -6,6 +6,8 @@
 //! the cut, of surfaces and of interfaces stay where they are. Irregularities of the model itself are in
 //! X and are kept.
 
+use std::ops::Range;
+
 use super::freedom::Freedom;
 use super::patch::Patch;
 use crate::cell::NO_CELL;
@@ -25,13 +27,17 @@ impl Patch {
     pub(crate) fn relax(&mut self, topology: &Topology) {
         let original: Vec<Vec3> = self.ids.iter().map(|&n| topology.original(n)).collect();
         let mut offsets: Vec<Vec3> = self.at.iter().zip(&original).map(|(x, o)| x - o).collect();
-        let links: Vec<(usize, Vec<u32>)> = (self.sheet..self.movable)
-            .filter(|&n| self.holds[n] == Freedom::Free)
-            .map(|n| (n, self.neighbours(n)))
-            .collect();
+        let mut links: Vec<u32> = Vec::new();
+        let mut nodes: Vec<(usize, Range<usize>)> = Vec::new();
+        for n in (self.sheet..self.movable).filter(|&n| self.holds[n] == Freedom::Free) {
+            let from = links.len();
+            self.append_neighbours(n, &mut links);
+            nodes.push((n, from..links.len()));
+        }
         for _ in 0..SWEEPS_MAX {
             let mut farthest: f64 = 0.0;
-            for &(i, ref links) in &links {
+            for (i, own) in &nodes {
+                let (i, links) = (*i, &links[own.clone()]);
                 let sum: Vec3 = links.iter().map(|&j| offsets[j as usize]).sum();
                 let way = (sum / links.len() as f64 - offsets[i]) * OVER;
                 farthest = farthest.max(way.norm_squared());
@@ -41,7 +47,7 @@ impl Patch {
                 break;
             }
         }
-        for &(n, _) in &links {
+        for (n, _) in nodes {
             let to = original[n] + offsets[n];
             if (to - self.start[n]).norm() > WORTH_MOVING * self.spacing {
                 self.at[n] = to;
@@ -49,17 +55,19 @@ impl Patch {
         }
     }
 
-    /// The nodes at the other ends of a node's edges, sorted.
-    fn neighbours(&self, node: usize) -> Vec<u32> {
-        let mut list = Vec::with_capacity(24);
+    /// Appends the nodes at the other ends of a node's edges, sorted.
+    fn append_neighbours(&self, node: usize, list: &mut Vec<u32>) {
+        let from = list.len();
         for (slot, &cell) in self.around[node].iter().enumerate() {
             if cell != NO_CELL {
-                let corners = &self.cells[cell as usize];
-                list.extend([1, 2, 4].map(|step| corners[slot ^ step]));
+                for step in [1, 2, 4] {
+                    let other = self.cells[cell as usize][slot ^ step];
+                    if !list[from..].contains(&other) {
+                        list.push(other);
+                    }
+                }
             }
         }
-        list.sort_unstable();
-        list.dedup();
-        list
+        list[from..].sort_unstable();
     }
 }

@@ -324,6 +324,17 @@ impl Ribbon {
         })
     }
 
+    /// Whether a segment in a box may cross the surface; `false` is certain.
+    pub(crate) fn may_cross(&self, within: &Bounds) -> bool {
+        let middle = (within.low + within.high) / 2.0;
+        // The heights of the corners of the box differ from that of its middle by at most this.
+        let half = (within.high - within.low) / 2.0;
+        self.any(
+            |bounds| bounds.overlaps(within),
+            |t| t.bounds.overlaps(within) && t.height(&middle).abs() <= t.normal.abs().dot(&half),
+        )
+    }
+
     /// Whether a segment crosses the surface.
     pub(crate) fn crosses(&self, p: &Vec3, q: &Vec3) -> bool {
         self.any(|bounds| !bounds.is_apart(p, q), |t| t.crosses(p, q))
@@ -397,6 +408,7 @@ mod tests {
                 let q = p + Vec3::new(step, 0.5 * step, step);
                 let crosses = ribbon.triangles.iter().any(|t| t.crosses(&p, &q));
                 prop_assert_eq!(ribbon.crosses(&p, &q), crosses);
+                prop_assert!(ribbon.may_cross(&Bounds::around([p, q].into_iter())) || !crosses);
             }
         }
     }

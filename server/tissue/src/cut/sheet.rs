@@ -17,9 +17,10 @@
 use std::collections::{BTreeSet, HashMap};
 
 use super::cell_fans::{Fans, Opening};
-use super::ribbon::Ribbon;
+use super::ribbon::{Bounds, Ribbon};
 use super::{CutError, DRIFT_MAX};
 use crate::cell::{FACES, NO_CELL};
+use crate::number_map::NumberMap;
 use crate::{FaceId, RegionId, Topology, Vec3};
 
 /// How far from the blade a cell may be whose segments are tested, in spacings: neighbours are at most two apart, and
@@ -47,9 +48,13 @@ pub(crate) fn crossed(topology: &Topology, ribbon: &Ribbon) -> Result<Vec<FaceId
     let index = topology.cell_index();
     let spacing = topology.model.spacing_m;
     let mut met = Met::default();
+    let mut known = Known {
+        topology,
+        places: NumberMap::default(),
+    };
     for cell in index.cells_around(ribbon, (SEGMENT_MAX + DRIFT_MAX) * spacing) {
         if ribbon.may_reach(&topology.centre(cell), SEGMENT_MAX * spacing) {
-            meet(topology, cell, ribbon, &mut met);
+            known.meet(cell, ribbon, &mut met);
         }
     }
     match (met.faces.is_empty(), met.pinned) {
@@ -88,26 +93,54 @@ fn weighted_centre(topology: &Topology, cell: u32) -> Vec3 {
     sum / weights
 }
 
-/// Tests the three upper faces of a cell.
-fn meet(topology: &Topology, cell: u32, ribbon: &Ribbon, met: &mut Met) {
-    let spacing = topology.model.spacing_m;
-    let from = weighted_centre(topology, cell) + TIE * spacing;
-    for face in [1, 3, 5] {
-        let other = topology.model.cells[cell as usize].neighbours[face];
-        if other == NO_CELL {
-            continue;
+/// Boxes and weighted centres of the cells around a ribbon, each derived once.
+struct Known<'a> {
+    topology: &'a Topology,
+    places: NumberMap<u32, (Bounds, Option<Vec3>)>,
+}
+
+impl Known<'_> {
+    /// The box of a cell, which has its weighted centre.
+    fn bounds(&mut self, cell: u32) -> Bounds {
+        let topology = self.topology;
+        let derive = || {
+            let corners = topology.corners(cell).into_iter();
+            let bounds = Bounds::around(corners.map(|n| topology.rest(n)));
+            (bounds.grown(TIE.norm() * topology.model.spacing_m), None)
+        };
+        self.places.entry(cell).or_insert_with(derive).0
+    }
+
+    /// The weighted centre of a cell.
+    fn centre(&mut self, cell: u32) -> Vec3 {
+        let topology = self.topology;
+        let derive = || weighted_centre(topology, cell) + TIE * topology.model.spacing_m;
+        match self.places.get_mut(&cell) {
+            Some((_, centre)) => *centre.get_or_insert_with(derive),
+            None => derive(),
         }
-        let to = weighted_centre(topology, other) + TIE * spacing;
-        if !ribbon.crosses(&from, &to) {
-            continue;
-        }
-        let id = FaceId::new(cell, face);
-        if topology.across(id) == NO_CELL {
-            met.open = true;
-        } else if is_bone(topology, cell) && is_bone(topology, other) {
-            met.pinned = Some(topology.region(cell));
-        } else {
-            met.faces.insert(id);
+    }
+
+    /// Tests the three upper faces of a cell.
+    fn meet(&mut self, cell: u32, ribbon: &Ribbon, met: &mut Met) {
+        let topology = self.topology;
+        let own = self.bounds(cell);
+        for face in [1, 3, 5] {
+            let other = topology.model.cells[cell as usize].neighbours[face];
+            if other == NO_CELL || !ribbon.may_cross(&own.with(&self.bounds(other))) {
+                continue;
+            }
+            if !ribbon.crosses(&self.centre(cell), &self.centre(other)) {
+                continue;
+            }
+            let id = FaceId::new(cell, face);
+            if topology.across(id) == NO_CELL {
+                met.open = true;
+            } else if is_bone(topology, cell) && is_bone(topology, other) {
+                met.pinned = Some(topology.region(cell));
+            } else {
+                met.faces.insert(id);
+            }
         }
     }
 }

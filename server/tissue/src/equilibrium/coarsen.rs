@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use super::brick::CORNER;
+use super::brick::{CORNER, LOCALS};
 use super::prolongation::FREE;
 
 /// A cell of some level, as input of the next coarser one.
@@ -109,9 +109,10 @@ fn merge_corners(
         let own = octant(cell.at);
         for (corner, &point) in cell.corners.iter().enumerate() {
             // Any other element around the point gives the same weights and merged corners.
-            entries[point as usize] = element * 32 + CORNER[own][corner] as u32;
+            let place = CORNER[own][corner];
+            entries[point as usize] = element * 32 + place as u32;
             let known = &mut first[point as usize];
-            for (low, slot) in support(own, corner) {
+            for (low, slot) in support(place) {
                 let slot = element * 8 + slot as u32;
                 if known[low] == NONE {
                     known[low] = slot;
@@ -136,24 +137,45 @@ fn merge_corners(
     (entries, count as usize)
 }
 
-/// Corners of an element on which corner `corner` of the cell at `octant` depends: for each, its number among those of
+/// Corners of an element on which the finer point at a place (see [`CORNER`]) depends: for each, its number among those of
 /// the point (by odd axes) and the slot of the element.
-pub(crate) fn support(octant: usize, corner: usize) -> impl Iterator<Item = (usize, usize)> {
-    let at: [usize; 3] = std::array::from_fn(|a| (octant >> a & 1) + (corner >> a & 1));
-    (0..8usize).filter_map(move |low| {
-        let mut slot = 0;
-        for (a, &v) in at.iter().enumerate() {
-            let bit = low >> a & 1;
-            match v {
-                1 => slot |= bit << a,
-                _ if bit == 1 => return None,
-                2 => slot |= 1 << a,
-                _ => {}
-            }
-        }
-        Some((low, slot))
-    })
+pub(crate) fn support(place: usize) -> impl Iterator<Item = (usize, usize)> {
+    let (list, count) = &SUPPORT[place];
+    list[..*count]
+        .iter()
+        .map(|&(low, slot)| (low.into(), slot.into()))
 }
+
+static SUPPORT: [([(u8, u8); 8], usize); LOCALS] = {
+    let mut all = [([(0, 0); 8], 0); LOCALS];
+    let mut place = 0;
+    while place < LOCALS {
+        let at = [place % 3, place / 3 % 3, place / 9];
+        let mut low = 0;
+        while low < 8 {
+            let (mut slot, mut is_one, mut a) = (0, true, 0);
+            while a < 3 {
+                let bit = low >> a & 1;
+                match at[a] {
+                    1 => slot |= bit << a,
+                    high => {
+                        is_one &= bit == 0;
+                        slot |= (high as u8 / 2) << a;
+                    }
+                }
+                a += 1;
+            }
+            if is_one {
+                let (list, count) = &mut all[place];
+                list[*count] = (low, slot);
+                *count += 1;
+            }
+            low += 1;
+        }
+        place += 1;
+    }
+    all
+};
 
 /// Face connections between elements, by the points of the shared face.
 pub(crate) struct Joints {

@@ -320,13 +320,15 @@ impl Solver {
     pub(crate) fn preparer(&self, topology: &Arc<Topology>, history: CutHistory) -> CutPreparer {
         // The first cut would build it.
         topology.cell_index();
+        let mut hierarchy = self.hierarchy.clone();
+        hierarchy.reserve();
         CutPreparer {
             topology: Arc::clone(topology),
             construction: Construction::of(topology, &self.hierarchy),
             journal: Journal::new(history.done().len()),
             history,
             room: TreeRoom::of(topology),
-            hierarchy: self.hierarchy.clone(),
+            hierarchy,
             reference_state: self.reference_state.clone(),
         }
     }

@@ -328,10 +328,16 @@ impl Hierarchy {
             level: below,
             places: &construction.places[l - 1],
         };
-        let mut changed: Changed = finer.corners.iter().map(|e| (e.0, None)).collect();
+        let mut changed: BTreeMap<u32, Option<u32>> =
+            finer.corners.iter().map(|e| (e.0, None)).collect();
         for &(new, from, _) in &finer.new {
             changed.insert(new, Some(below.parent[from as usize]));
         }
+        let new = (below.points() - finer.origins.len()) as u32..below.points() as u32;
+        let changed = Changed {
+            cells: changed,
+            points: sorted(new.chain(finer.origins.iter().copied())),
+        };
         let here = (level, &construction.places[l], &level.children);
         let mut coarse = recoarsen(&elements, here, &changed);
         // A point may have followed an element that has left it to a new point.
@@ -507,11 +513,13 @@ fn share_forms(change: &mut HierarchyChange) {
 /// Cells around the nodes that a cut doubled: all whose corners or open faces changed.
 fn parted_cells(topology: &Topology, outcome: &CutOutcome) -> Changed {
     let nodes = outcome.doubled.iter().flat_map(|&(new, from)| [new, from]);
-    let cells = nodes.flat_map(|node| topology.cells_around(node));
-    cells
-        .filter(|&cell| cell != NO_CELL)
-        .map(|cell| (cell, None))
-        .collect()
+    let points = sorted(nodes);
+    let cells = points.iter().flat_map(|&node| topology.cells_around(node));
+    let cells = cells.filter(|&cell| cell != NO_CELL);
+    Changed {
+        cells: cells.map(|cell| (cell, None)).collect(),
+        points,
+    }
 }
 
 fn sorted(items: impl Iterator<Item = u32>) -> Vec<u32> {

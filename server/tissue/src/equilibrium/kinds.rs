@@ -1,6 +1,7 @@
 //! Forms and matrices that equal bricks and equal elements share.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
+use std::hash::Hash;
 use std::sync::Arc;
 
 use pulp::{Arch, Simd, WithSimd};
@@ -10,21 +11,22 @@ use super::brick::{Brick, DIRECTIONS, Form, LOCALS, SPAN};
 use super::element::{Matrix, Sum};
 use super::lanes::LANES;
 use super::quad::trim;
+use crate::number_map::NumberMap;
 
 /// Numbers of things that bricks or elements share, by their keys. A number that nothing uses any more is given to the
 /// next new thing: cuts replace forms all the time.
 #[derive(Clone, Debug, PartialEq)]
-struct Numbers<K> {
-    known: BTreeMap<K, u32>,
+struct Numbers<K: Hash + Eq> {
+    known: NumberMap<K, u32>,
     keys: Vec<Option<K>>,
     uses: Vec<u32>,
     unused: BTreeSet<u32>,
 }
 
-impl<K> Default for Numbers<K> {
+impl<K: Hash + Eq> Default for Numbers<K> {
     fn default() -> Self {
         Self {
-            known: BTreeMap::new(),
+            known: NumberMap::default(),
             keys: Vec::new(),
             uses: Vec::new(),
             unused: BTreeSet::new(),
@@ -32,7 +34,7 @@ impl<K> Default for Numbers<K> {
     }
 }
 
-impl<K: Clone + Ord> Numbers<K> {
+impl<K: Clone + Hash + Eq> Numbers<K> {
     /// Numbers below `count` that are in use, each as often as listed.
     fn used(count: usize, list: impl Iterator<Item = (u32, K)>) -> Self {
         let mut numbers = Self {

@@ -10,6 +10,7 @@ use super::brick::{CORNER, LOCALS};
 use super::coarsen::{Sets, octant, place, support};
 use super::construction::Places;
 use super::hierarchy::{Level, Table};
+use crate::number_map::NumberMap;
 
 /// The finer cells of a coarse level.
 pub(super) trait Cells {
@@ -44,8 +45,13 @@ pub(super) struct Recoarsened {
     pub(super) entries: BTreeMap<u32, u32>,
 }
 
-/// A changed cell, and the element of the cell that it was split from if it is new.
-pub(super) type Changed = BTreeMap<u32, Option<u32>>;
+/// What changed in the finer cells.
+pub(super) struct Changed {
+    /// Each changed cell, and the element of the cell that it was split from if it is new.
+    pub(super) cells: BTreeMap<u32, Option<u32>>,
+    /// Points that were split, and the new ones, sorted.
+    pub(super) points: Vec<u32>,
+}
 
 /// Follows changes of the connections or corners of finer cells. `members` are the former cells of each element.
 pub(super) fn recoarsen(
@@ -53,10 +59,14 @@ pub(super) fn recoarsen(
     (level, places, members): (&Level, &Places, &Table),
     changed: &Changed,
 ) -> Recoarsened {
-    let elements = split(cells, (level, places, members), changed);
-    let corners = elements
-        .iter()
-        .flat_map(|e| level.corners[e.origin as usize]);
+    let elements = split(cells, (level, places, members), &changed.cells);
+    let corners = elements.iter().flat_map(|element| {
+        let slots = disturbed(cells, element, members, &changed.points);
+        let corners = level.corners[element.origin as usize];
+        (0..8)
+            .filter(move |s| slots >> s & 1 == 1)
+            .map(move |s| corners[s])
+    });
     let points = sorted(corners.collect());
     let near = elements_near(&elements, (level, members), &points);
     let (corners, origins) = merge(cells, level.points(), &near);
@@ -94,7 +104,7 @@ pub(super) fn recoarsen(
 fn split(
     cells: &impl Cells,
     (level, places, members): (&Level, &Places, &Table),
-    changed: &Changed,
+    changed: &BTreeMap<u32, Option<u32>>,
 ) -> Vec<ChangedElement> {
     let mut at: BTreeMap<[i32; 3], Vec<(u32, u32)>> = BTreeMap::new();
     for (&cell, new_in) in changed {
@@ -148,6 +158,24 @@ fn split(
     elements
 }
 
+/// Slots of a changed element whose points may split, as bits: those that depend on a split or new finer point. All of them if
+/// the element lost cells.
+fn disturbed(cells: &impl Cells, element: &ChangedElement, members: &Table, points: &[u32]) -> u8 {
+    if element.cells != members.row(element.origin) {
+        return u8::MAX;
+    }
+    let mut slots = 0;
+    for &cell in &element.cells {
+        let own = octant(cells.at(cell));
+        for (corner, point) in cells.corners(cell).into_iter().enumerate() {
+            if points.binary_search(&point).is_ok() {
+                slots |= support(CORNER[own][corner]).fold(0, |bits, (_, slot)| bits | 1 << slot);
+            }
+        }
+    }
+    slots
+}
+
 fn sorted(mut list: Vec<u32>) -> Vec<u32> {
     list.sort_unstable();
     list.dedup();
@@ -193,7 +221,9 @@ fn elements_near<'a>(
 /// of points.
 fn merge(cells: &impl Cells, count: usize, near: &[Near<'_>]) -> (Vec<[u32; 8]>, Vec<u32>) {
     // A finer point merges the slots that it depends on in all elements, by its odd axes.
-    let mut uses: Vec<(u64, u32)> = Vec::with_capacity(32 * near.len());
+    let mut slots = Sets::new(near.len() * 8);
+    let mut uses: NumberMap<u64, u32> = NumberMap::default();
+    uses.reserve(32 * near.len());
     for (element, first) in near.iter().zip((0..).step_by(8)) {
         let mut known = [u32::MAX; LOCALS];
         for &cell in element.cells {
@@ -203,18 +233,15 @@ fn merge(cells: &impl Cells, count: usize, near: &[Near<'_>]) -> (Vec<[u32; 8]>,
                 if std::mem::replace(&mut known[place], point) == point {
                     continue;
                 }
-                for (low, slot) in support(own, corner) {
+                for (low, slot) in support(place) {
                     if element.slots >> slot & 1 == 1 {
-                        uses.push((u64::from(point) << 3 | low as u64, first + slot as u32));
+                        let key = u64::from(point) << 3 | low as u64;
+                        let own = first + slot as u32;
+                        slots.join(*uses.entry(key).or_insert(own), own);
                     }
                 }
             }
         }
-    }
-    uses.sort_unstable();
-    let mut slots = Sets::new(near.len() * 8);
-    for pair in uses.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
-        slots.join(pair[0].1, pair[1].1);
     }
     let mut number = vec![u32::MAX; near.len() * 8];
     let (mut kept, mut origins) = (BTreeSet::new(), Vec::new());
