@@ -16,11 +16,12 @@ use crate::{Topology, Vec3};
 /// Most sweeps; what has not settled then stays as it is.
 const SWEEPS_MAX: usize = 50;
 /// A sweep in which no node moved farther, in spacings, is the last.
-const SETTLED: f64 = 1e-3;
+const SETTLED: f64 = 0.05 * WORTH_MOVING;
 /// Over-relaxation, near the best for three rings.
 const OVER: f64 = 1.4;
-/// A node that would move less than this, in spacings, stays: moving it costs more than it gains.
-const WORTH_MOVING: f64 = 5e-3;
+/// A node that would move less than this, in spacings, stays. Each moved node costs the forms and matrices of its cells; a
+/// finer threshold brings no more nodes of the sheet onto the swept surface.
+const WORTH_MOVING: f64 = 0.1;
 
 impl Patch {
     /// Relaxes the offsets of the nodes around the sheet and moves these along.
