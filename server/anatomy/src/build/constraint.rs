@@ -45,16 +45,21 @@ impl Constraint {
         }
     }
 
-    /// A node on one interface alone.
-    pub(super) fn on(interface: Interface) -> Self {
+    /// A part of this constraint: the interfaces of `kept` and one more.
+    pub(super) fn kept_with(self, kept: Option<Self>, interface: Interface) -> Self {
+        let kept = kept.unwrap_or(Self {
+            facing: self.facing,
+            ..Self::default()
+        });
         match interface {
+            // A rim of several interfaces is one of the outer surface.
             Interface::Outer => Self {
-                outer: true,
-                ..Self::default()
+                owners: kept.owners,
+                ..self
             },
             Interface::Of(region) => Self {
-                owners: 1 << region,
-                ..Self::default()
+                owners: kept.owners | 1 << region,
+                ..kept
             },
         }
     }

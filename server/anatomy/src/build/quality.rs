@@ -13,7 +13,7 @@ pub const CORNER_FLOOR: f64 = 0.01;
 pub const SPRING_FLOOR: f64 = 0.3;
 
 /// The determinant of the edges at corner `c`.
-fn corner(corners: &[Vec3; 8], c: usize) -> f64 {
+pub(super) fn corner(corners: &[Vec3; 8], c: usize) -> f64 {
     let [x, y, z] = [1, 2, 4].map(|step| corners[c | step] - corners[c & !step]);
     x.dot(&y.cross(&z))
 }

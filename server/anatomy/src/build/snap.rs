@@ -324,9 +324,20 @@ fn nearest_within(
     bvh.nearest(at, reach)
 }
 
+/// Whether the interfaces of a constraint meet near a lattice point.
+fn meets(grid: &Grid, interfaces: &Interfaces, constraint: Constraint, from: &Vec3) -> bool {
+    let at = project(interfaces, constraint, *from);
+    let mut all = constraint.interfaces();
+    all.all(|interface| {
+        nearest(interfaces, constraint, interface, &at)
+            .is_some_and(|p| (p - at).norm() <= MEETING * grid.spacing)
+    }) && (at - from).norm() <= MEETING_REACH * grid.spacing
+}
+
 /// The tie rule (reconstructed): where interfaces are closer together than a spacing and do not meet, the
-/// interface nearer to a node's lattice point gets the node. Returns the number of such nodes, and changes
-/// their constraints accordingly.
+/// interface nearest to a node's lattice point gets the node, and the node stays on the others that meet it there.
+/// The end of a thin layer so remains on the outer surface. Returns the number of such nodes, and changes their
+/// constraints accordingly.
 pub(super) fn settle_ties(
     grid: &Grid,
     lattice: &Lattice,
@@ -339,33 +350,25 @@ pub(super) fn settle_ties(
         .filter(|(_, c)| c.interfaces().nth(1).is_some())
         .map(|(node, constraint)| {
             let from = grid.point(lattice.nodes[node]);
-            let at = project(interfaces, *constraint, from);
-            let meets = constraint.interfaces().all(|i| {
-                nearest(interfaces, *constraint, i, &at)
-                    .is_some_and(|p| (p - at).norm() <= MEETING * grid.spacing)
-            });
-            if meets && (at - from).norm() <= MEETING_REACH * grid.spacing {
+            if meets(grid, interfaces, *constraint, &from) {
                 return 0;
             }
-            let mut best: Option<(f64, Interface)> = None;
-            for interface in constraint.interfaces() {
-                if let Some(p) = nearest(interfaces, *constraint, interface, &from) {
-                    let distance = (p - from).norm();
-                    if best.is_none_or(|b| distance < b.0) {
-                        best = Some((distance, interface));
-                    }
+            let mut claimants: Vec<(f64, Interface)> = constraint
+                .interfaces()
+                .filter_map(|interface| {
+                    let at = nearest(interfaces, *constraint, interface, &from)?;
+                    Some(((at - from).norm(), interface))
+                })
+                .collect();
+            claimants.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let mut kept: Option<Constraint> = None;
+            for (_, interface) in claimants {
+                let with = constraint.kept_with(kept, interface);
+                if kept.is_none() || meets(grid, interfaces, with, &from) {
+                    kept = Some(with);
                 }
             }
-            if let Some((_, taker)) = best {
-                let kept = constraint.rim && taker == Interface::Outer;
-                *constraint = Constraint {
-                    rim: kept,
-                    corner: kept && constraint.corner,
-                    seen: if kept { constraint.seen } else { 0 },
-                    facing: constraint.facing,
-                    ..Constraint::on(taker)
-                };
-            }
+            *constraint = kept.unwrap_or(*constraint);
             1
         })
         .sum()

@@ -25,13 +25,13 @@ use rayon::prelude::*;
 use super::constraint::Constraint;
 use super::interfaces::Interfaces;
 use super::lattice::Lattice;
-use super::quality::{CORNER_FLOOR, SPRING_FLOOR, passes};
+use super::quality::{CORNER_FLOOR, SPRING_FLOOR, corner, passes};
 use super::snap::{ON_SURFACE, project};
 
 /// Cells with a smaller determinant, in Δd³, or a shorter spring, in Δd, are visited.
 const GOOD: (f64, f64) = (0.03, 0.33);
 /// Target of the minimisation: a margin above the floor, so that one visit suffices.
-const AIM: (f64, f64) = (0.08, 0.38);
+pub(super) const AIM: (f64, f64) = (0.08, 0.38);
 /// Limits that must hold at the end; slightly above the floors, to be safe from rounding.
 pub(super) const FLOOR: (f64, f64) = (CORNER_FLOOR * 1.001, SPRING_FLOOR * 1.001);
 
@@ -143,13 +143,18 @@ impl<'a> Untangler<'a> {
         self.spacing
     }
 
+    /// The interfaces of the input.
+    pub(super) fn interfaces(&self) -> &Interfaces {
+        self.interfaces
+    }
+
     /// The interfaces of each node.
     pub(super) fn constraint(&self, node: u32) -> Constraint {
         self.constraints[node as usize]
     }
 
-    /// Moves each node by the first of [`TRIES`] of its step that keeps the cells around it above the limits and a gap
-    /// beside it open, or not at all.
+    /// Moves each node by the first of [`TRIES`] of its step that makes no cell around it worse than the limits and keeps a
+    /// gap beside it open, or not at all.
     pub(super) fn move_while_it_holds(
         &self,
         moves: &[(u32, Vec3)],
@@ -175,15 +180,29 @@ impl<'a> Untangler<'a> {
         }
     }
 
-    /// Whether all cells around a node would meet the limits with the node at `to`.
+    /// Whether no determinant and no spring that a move of a node to `to` changes falls below the limits, or farther below
+    /// them than it is.
     fn holds(&self, node: u32, to: &Vec3, (det, length): (f64, f64), positions: &[Vec3]) -> bool {
+        let (det, length) = (det * self.spacing.powi(3), length * self.spacing);
+        let from = positions[node as usize];
         let slots = self.around[node as usize].iter().enumerate();
         slots
             .filter(|(_, cell)| **cell != NO_CELL)
             .all(|(c, &cell)| {
-                let mut corners = self.corners(cell, positions);
-                corners[c] = *to;
-                passes(&corners, self.spacing, det, length)
+                let before = self.corners(cell, positions);
+                let mut after = before;
+                after[c] = *to;
+                let springs = (0..8).filter(|other| *other != c).all(|other| {
+                    let squared = |end: &Vec3| (end - before[other]).norm_squared();
+                    let now = squared(to);
+                    now >= length * length || now >= squared(&from)
+                });
+                // The determinants at a corner and at the three next to it depend on its position.
+                springs
+                    && [c, c ^ 1, c ^ 2, c ^ 4].into_iter().all(|d| {
+                        let now = corner(&after, d);
+                        now >= det || now >= corner(&before, d)
+                    })
             })
     }
 
