@@ -45,7 +45,7 @@ pub(super) struct Recoarsened {
     pub(super) entries: BTreeMap<u32, u32>,
 }
 
-/// What changed in the finer cells.
+/// Changes of the finer cells.
 pub(super) struct Changed {
     /// Each changed cell, and the element of the cell that it was split from if it is new.
     pub(super) cells: BTreeMap<u32, Option<u32>>,
