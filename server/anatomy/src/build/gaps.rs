@@ -5,9 +5,10 @@
 //! one copy per group of its cells that stay connected ([`super::lattice`]). Each copy is put onto the input surface
 //! that its own cells face, so the gap gets its true width.
 //!
-//! The rays that measure the fill of the cells know the parts of every region and which parts touch. A face between
-//! parts that touch nowhere is opened where nothing lies between them, unless the scene fuses the two. Tissue in the gap
-//! holds both.
+//! Lines across a face show whether the regions of its cells touch there. It is opened where most lines find a gap of
+//! a quarter of a spacing or more, unless the scene fuses the two. Tissue in the gap holds both. Where a face lies on one
+//! side of the gap and no line shows both regions, it is opened between parts of the regions that touch nowhere, as the
+//! rays know that measure the fill of the cells.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -27,10 +28,13 @@ use super::walls::{Share, Walls};
 /// nothing holds it.
 const PIECE_MIN: usize = 4;
 
-/// Lines across a face along each of its sides, and points along each line over both cells. A gap of a quarter of a
-/// spacing has four of these.
+/// Lines across a face along each of its sides, and points along each line over both cells.
 const LINES: usize = 4;
 const PROBES: usize = 32;
+/// Points in a gap of a quarter of a spacing.
+const GAP_PROBES: usize = PROBES / 8;
+/// Part of a cell that is empty at least beside a face in a gap between parts that touch elsewhere: half of a gap.
+const EMPTY_MIN: f64 = 0.125;
 
 /// Two regions between which a gap of the input stays open although no cell is empty there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -124,9 +128,11 @@ pub(super) struct Joints<'a> {
 }
 
 /// The space between two parts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Between {
-    Nothing,
+    /// Less than a quarter of a spacing.
+    Contact,
+    Gap,
     /// Other regions, which hold both parts.
     Tissue,
 }
@@ -134,60 +140,53 @@ enum Between {
 /// The space on a line between two regions, from the regions of its points; `None` unless the line passes from one to
 /// the other.
 fn line_shows(points: impl Iterator<Item = Option<usize>>, regions: [usize; 2]) -> Option<Between> {
-    // The last of the two regions, and the space since.
-    let mut last: Option<(usize, Option<Between>)> = None;
+    let [a, b] = regions;
+    // The last of the two regions, the number of points since, and whether tissue is among them.
+    let mut last: Option<(usize, usize, bool)> = None;
     let mut found = None;
     for point in points {
-        let own = point.filter(|r| regions.contains(r));
-        match (own, &mut last) {
-            (Some(region), Some((before, Some(between))))
-                if *before != region || regions[0] == regions[1] =>
+        if let Some(region) = point.filter(|r| regions.contains(r)) {
+            if let Some((before, width, tissue)) = last
+                && (before != region || a == b && width > 0)
             {
-                if found != Some(Between::Tissue) {
-                    found = Some(*between);
-                }
-                last = Some((region, None));
+                found = found.max(Some(match width {
+                    _ if tissue => Between::Tissue,
+                    ..GAP_PROBES => Between::Contact,
+                    _ => Between::Gap,
+                }));
             }
-            (Some(region), _) => last = Some((region, None)),
-            (None, Some((_, between))) => {
-                let tissue = point.is_some() || *between == Some(Between::Tissue);
-                *between = Some(if tissue {
-                    Between::Tissue
-                } else {
-                    Between::Nothing
-                });
-            }
-            (None, None) => {}
+            last = Some((region, 0, false));
+        } else if let Some((_, width, tissue)) = &mut last {
+            *width += 1;
+            *tissue |= point.is_some();
         }
     }
     found
 }
 
 impl Joints<'_> {
-    /// Numbers the lattice with its gaps open. Where the end of a gap would make a surface touch itself along an edge,
-    /// the faces there stay closed.
-    pub(super) fn number(&self) -> Lattice {
-        let mut open = self.open_faces();
+    /// Numbers the lattice with these faces open. Where the end of a gap would make a surface touch itself along an edge,
+    /// the faces there are closed.
+    pub(super) fn number(&self, open: &mut Vec<usize>) -> Lattice {
         loop {
-            let lattice = lattice::number(self.grid, self.labels, &open);
+            self.keep_attached(open);
+            let lattice = lattice::number(self.grid, self.labels, open);
             let mut touching = lattice.touching().into_iter();
             let before = open.len();
             open.retain(|_| !touching.next().unwrap_or(false));
             if open.len() == before {
                 return lattice;
             }
-            self.keep_attached(&mut open);
         }
     }
 
     /// The faces to open, as three times the lower cell plus the axis across; sorted.
-    fn open_faces(&self) -> Vec<usize> {
+    pub(super) fn open_faces(&self) -> Vec<usize> {
         let layers = (0..self.grid.cells[2]).into_par_iter();
         let mut open: Vec<usize> = layers.flat_map_iter(|k| self.between_regions(k)).collect();
         open.extend(self.within_regions());
         open.sort_unstable();
         open.dedup();
-        self.keep_attached(&mut open);
         open
     }
 
@@ -252,21 +251,35 @@ impl Joints<'_> {
         let [Some(p), Some(q)] = cells.map(|c| self.part(c)) else {
             return false;
         };
-        if self.parts.touch(p, q) || self.fused.contains(&regions) {
+        let touch = self.parts.touch(p, q);
+        if p == q {
+            return false;
+        }
+        if self.fused.contains(&regions) || touch && !self.is_partly_empty(cells) {
             return false;
         }
         match self.between(cells, regions) {
-            Some(between) => between == Between::Nothing,
+            Some(between) => between == Between::Gap,
             // The face lies on one side of the gap. Where the same tissue holds both parts it may lie in the tissue.
-            None => !self.parts.have_a_neighbour_in_common(p, q),
+            None => !touch && !self.parts.have_a_neighbour_in_common(p, q),
         }
     }
 
-    /// The space between two cells, along lines across their face; `None` where no line shows both regions.
+    /// Whether a gap takes a part of two cells.
+    fn is_partly_empty(&self, cells: [usize; 2]) -> bool {
+        let filled = |cell: usize| match self.walls.shares_of(cell) {
+            [] => 1.0,
+            shares => shares.iter().map(Share::filled).sum(),
+        };
+        let empty = 2.0 - cells.map(filled).iter().sum::<f64>();
+        empty > EMPTY_MIN
+    }
+
+    /// The space between two cells on most lines across their face; `None` where no line shows both regions.
     fn between(&self, [low, high]: [usize; 2], regions: [usize; 2]) -> Option<Between> {
         let (from, to) = (cell_at(self.grid, low), cell_at(self.grid, high));
         let axis = (0..3).find(|a| from[*a] != to[*a])?;
-        let mut found = None;
+        let (mut contacts, mut gaps) = (0, 0);
         for line in 0..LINES * LINES {
             let aside = [line % LINES, line / LINES].map(|i| (i as f64 + 0.5) / LINES as f64);
             let mut at = Vec3::from(from.map(|i| i as f64));
@@ -280,11 +293,17 @@ impl Joints<'_> {
             });
             match line_shows(seen, regions) {
                 Some(Between::Tissue) => return Some(Between::Tissue),
-                Some(Between::Nothing) => found = Some(Between::Nothing),
+                Some(Between::Gap) => gaps += 1,
+                Some(Between::Contact) => contacts += 1,
                 None => {}
             }
         }
-        found
+        let most = if gaps > contacts {
+            Between::Gap
+        } else {
+            Between::Contact
+        };
+        (gaps + contacts > 0).then_some(most)
     }
 
     /// The part that a cell belongs to. A cell of a label that does not reach into it belongs to the part of most

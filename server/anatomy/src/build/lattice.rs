@@ -70,12 +70,19 @@ impl Lattice {
             .collect()
     }
 
+    /// The nodes of the two sides of an opened face.
+    pub(super) fn sides(&self, &(cells, face): &([u32; 2], usize)) -> [[u32; 4]; 2] {
+        let corners = cells.map(|cell| self.cells[cell as usize].corners);
+        [
+            FACES[face].map(|c| corners[0][c]),
+            FACES[face ^ 1].map(|c| corners[1][c]),
+        ]
+    }
+
     /// Whether the two cells at an opened face still share all of its nodes, so that nothing is open.
-    fn is_slit(&self, &([cell, other], face): &([u32; 2], usize)) -> bool {
-        let corners =
-            |cell: u32, face: usize| FACES[face].map(|c| self.cells[cell as usize].corners[c]);
-        let beyond = corners(other, face ^ 1);
-        corners(cell, face).iter().all(|node| beyond.contains(node))
+    fn is_slit(&self, face: &([u32; 2], usize)) -> bool {
+        let [near, far] = self.sides(face);
+        near.iter().all(|node| far.contains(node))
     }
 
     /// Number of pieces of the model.

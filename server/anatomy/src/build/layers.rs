@@ -44,7 +44,7 @@ pub struct Layers {
 impl Layers {
     /// Marches over the interfaces of a model as built.
     pub fn new(model: &Model) -> Self {
-        Self::of_faces(model, &faces(&model.cells))
+        Self::of_faces(model, &faces(&model.cells, &model.lattice))
     }
 
     pub(super) fn of_faces(model: &Model, faces: &[Face]) -> Self {
@@ -64,7 +64,7 @@ impl Layers {
 
 /// The surface of one region over the model's own nodes: closed, wound outwards.
 pub fn region_surface(model: &Model, region: RegionId) -> Vec<[u32; 3]> {
-    surface_of(model, &faces(&model.cells), region)
+    surface_of(model, &faces(&model.cells, &model.lattice), region)
 }
 
 pub(super) fn surface_of(model: &Model, faces: &[Face], region: RegionId) -> Vec<[u32; 3]> {

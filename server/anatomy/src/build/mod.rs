@@ -18,6 +18,7 @@
 mod bar;
 mod bridge;
 mod bvh;
+mod closing;
 mod compare;
 mod component_loss;
 mod constraint;
@@ -115,8 +116,19 @@ pub fn build(
     let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
     progress("casting rays", 0.1);
-    let fused = &input.scene.fuse;
-    let (mut lattice, mending, lost) = numbered(&grid, &surfaces, walls, &parts, &query, fused);
+    let (mut labels, parts_of) = label::label(&grid, &surfaces, &mut walls);
+    let mending = mending::mend_all(&grid, &mut labels, &walls, &parts);
+    let lost = walls.lost(&grid, &labels);
+    let joints = gaps::Joints {
+        grid: &grid,
+        labels: &labels,
+        walls: &walls,
+        parts: &parts_of,
+        query: &query,
+        fused: &input.scene.fuse,
+    };
+    let mut open = joints.open_faces();
+    let mut lattice = joints.number(&mut open);
     input_check::mending(&mending, &lattice, grid.cell_count(), &mut warnings);
     if lattice.cells.is_empty() {
         return Err(input_check::too_coarse(&surfaces, spacing));
@@ -125,19 +137,22 @@ pub fn build(
     progress("sorting the interfaces", 0.2);
     let interfaces =
         interfaces::Interfaces::new(&surfaces, &input.sides, &query, spacing, grid.middle());
-    drop(query);
-    let faces = faces::faces(&lattice.cells);
-    let placed = position_nodes(
-        &grid,
-        &mut lattice,
-        &Input {
+    let (faces, placed) = loop {
+        let faces = faces::faces(&lattice.cells, &lattice.nodes);
+        let input = Input {
             surfaces: &surfaces,
             interfaces: &interfaces,
             volumes: &input_volumes,
-        },
-        &faces,
-        progress,
-    );
+        };
+        let placed = position_nodes(&grid, &mut lattice, &input, &faces, progress);
+        let crossed = closing::crossed(&lattice, &faces, &placed.crossing);
+        if crossed.is_empty() {
+            break (faces, placed);
+        }
+        let mut index = 0..;
+        open.retain(|_| index.next().is_some_and(|i| !crossed.contains(&i)));
+        lattice = joints.number(&mut open);
+    };
 
     progress("looking for thin parts", 0.8);
     let nodes = &placed.positions;
@@ -212,29 +227,6 @@ fn spacing_of(scene: &Scene, surfaces: &[&Surface]) -> (f64, Option<SpacingRepor
     } else {
         (scene.spacing_m, None)
     }
-}
-
-/// Labels the cells and numbers the lattice. Also returns the repairs of the labels, and the lost parts of the input.
-fn numbered(
-    grid: &Grid,
-    surfaces: &[&Surface],
-    mut walls: walls::Walls,
-    parts: &[Vec<Aabb>],
-    query: &inside::PointQuery,
-    fused: &[[usize; 2]],
-) -> (lattice::Lattice, mending::Mending, Vec<(usize, u8, u8)>) {
-    let (mut labels, parts_of) = label::label(grid, surfaces, &mut walls);
-    let mending = mending::mend_all(grid, &mut labels, &walls, parts);
-    let lost = walls.lost(grid, &labels);
-    let joints = gaps::Joints {
-        grid,
-        labels: &labels,
-        walls: &walls,
-        parts: &parts_of,
-        query,
-        fused,
-    };
-    (joints.number(), mending, lost)
 }
 
 /// A label volume is authoritative for the regions that it alone describes.

@@ -446,7 +446,9 @@ mod tests {
             let moved = cuboid(low + shift, high + shift);
             let grid = Grid::around(&[&still, &moved], 4e-3);
             let rays = InputRays::of_surfaces(&grid, &[&moved]);
-            let volumes = rays.compare(&model, &faces(&model.cells)).volumes[0];
+            let volumes = rays
+                .compare(&model, &faces(&model.cells, &model.lattice))
+                .volumes[0];
             let size = high - low;
             let common = (size - shift.abs()).product() / size.product();
             assert!(

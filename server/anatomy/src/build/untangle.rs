@@ -153,6 +153,16 @@ impl<'a> Untangler<'a> {
         self.constraints[node as usize]
     }
 
+    /// Whether a node has a copy at its lattice point, on the other side of a gap.
+    pub(super) fn has_copy(&self, node: u32) -> bool {
+        let node = node as usize;
+        let nodes = &self.lattice.nodes;
+        // Copies are numbered one after the other.
+        let beside = [node.checked_sub(1), Some(node + 1)];
+        let mut beside = beside.into_iter().flatten().filter_map(|n| nodes.get(n));
+        beside.any(|at| *at == nodes[node])
+    }
+
     /// Moves each node by the first of [`TRIES`] of its step that makes no cell around it worse than the limits and keeps a
     /// gap beside it open, or not at all.
     pub(super) fn move_while_it_holds(

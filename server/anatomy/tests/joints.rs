@@ -1,0 +1,108 @@
+//! Bodies that touch on a part of their surface only: the gap beside it stays open.
+
+#![allow(clippy::unwrap_used)]
+
+mod shapes;
+
+use palpate_anatomy::{BuildReport, Surface, build};
+use palpate_tissue::Vec3;
+use shapes::{cuboid, placed, scene};
+
+/// m.
+const SPACING: f64 = 2e-3;
+/// Half the side of both bodies, and their heights, in spacings.
+const HALF: f64 = 8.0;
+const HEIGHT: f64 = 6.0;
+
+/// Euler angles of the bodies.
+const TURNS: [[f64; 3]; 4] = [
+    [0.0; 3],
+    [0.35, 0.52, 0.7],
+    [1.1, 0.25, 2.3],
+    [std::f64::consts::FRAC_PI_4, 0.615_480, 0.0],
+];
+
+/// A body above a plane, whose lower side has these heights at these places along x, in spacings.
+fn above(lower: &[[f64; 2]]) -> Surface {
+    let mut surface = Surface::default();
+    for y in [-HALF, HALF] {
+        for &[x, z] in lower {
+            for z in [z, HEIGHT] {
+                surface.vertices.push(Vec3::new(x, y, z) * SPACING);
+            }
+        }
+    }
+    let count = lower.len() as u32;
+    let at = |i: u32, far: u32, upper: u32| 2 * (far * count + i) + upper;
+    let mut quad = |[a, b, c, d]: [u32; 4]| surface.triangles.extend([[a, b, c], [a, c, d]]);
+    for i in 0..count - 1 {
+        quad([at(i, 0, 0), at(i + 1, 0, 0), at(i + 1, 0, 1), at(i, 0, 1)]);
+        quad([at(i, 1, 1), at(i + 1, 1, 1), at(i + 1, 1, 0), at(i, 1, 0)]);
+        quad([at(i, 0, 0), at(i, 1, 0), at(i + 1, 1, 0), at(i + 1, 0, 0)]);
+        quad([at(i, 0, 1), at(i + 1, 0, 1), at(i + 1, 1, 1), at(i, 1, 1)]);
+    }
+    let last = count - 1;
+    quad([at(0, 0, 0), at(0, 0, 1), at(0, 1, 1), at(0, 1, 0)]);
+    quad([
+        at(last, 0, 0),
+        at(last, 1, 0),
+        at(last, 1, 1),
+        at(last, 0, 1),
+    ]);
+    surface
+}
+
+/// The two bodies at a place.
+fn built(lower: &[[f64; 2]], turn: [f64; 3]) -> BuildReport {
+    let at = Vec3::new(0.37, 0.53, 0.71) * SPACING;
+    let low = Vec3::new(-HALF, -HALF, -HEIGHT) * SPACING;
+    let high = Vec3::new(HALF, HALF, 0.0) * SPACING;
+    let surfaces = [cuboid(low, high), above(lower)].map(|s| placed(s, turn, at));
+    let input = scene(&format!("{}", SPACING * 1e3), &surfaces).unwrap();
+    let (_, report) = build(&input, &mut |_, _| {}).unwrap();
+    assert_eq!(report.quality.bad_cells, 0, "{:?}", report.quality);
+    assert_eq!(report.surface_faults, [], "{turn:?}");
+    assert_eq!(report.outer_surface.components, 1, "{turn:?}");
+    for region in &report.regions {
+        let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
+        assert!(error.abs() < 5e-3, "{turn:?}: {region:?}");
+        assert!(region.dice > 0.97, "{turn:?}: {region:?}");
+    }
+    report
+}
+
+/// Area in mm² where the two touch in the model and not in the input.
+fn created(report: &BuildReport) -> f64 {
+    report.contacts.iter().map(|c| c.created_mm2).sum()
+}
+
+#[test]
+fn gap_beside_a_contact_stays_open() {
+    for gap in [0.4, 0.6, 0.9] {
+        for turn in TURNS {
+            let report = built(&[[-HALF, 0.0], [0.0, 0.0], [0.1, gap], [HALF, gap]], turn);
+            let whole = area(HALF);
+            assert!(created(&report) < 0.02 * whole, "{gap}, {turn:?}");
+            let open: f64 = report.gaps.iter().map(|g| g.area_mm2).sum();
+            assert!(gap > 0.5 || open > 0.8 * whole, "{turn:?}: {open}");
+        }
+    }
+}
+
+#[test]
+fn wedge_is_open_from_a_quarter_of_a_spacing_on() {
+    for width in [0.6, 1.0, 2.0] {
+        for turn in TURNS {
+            let report = built(&[[-HALF, 0.0], [0.0, 0.0], [HALF, width]], turn);
+            // A contact within a spacing of that of the input is none that was created; steps of the lattice add another.
+            let narrow = HALF * 0.25 / width;
+            let most = area(narrow + 1.0);
+            assert!(created(&report) < most, "{width}, {turn:?}");
+        }
+    }
+}
+
+/// Area of a strip of this width, in mm².
+fn area(width: f64) -> f64 {
+    width * 2.0 * HALF * (SPACING * 1e3).powi(2)
+}
