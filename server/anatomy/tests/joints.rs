@@ -4,8 +4,11 @@
 
 mod shapes;
 
-use palpate_anatomy::{BuildReport, Surface, build};
-use palpate_tissue::Vec3;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use palpate_anatomy::{BuildReport, SceneInput, Surface, build};
+use palpate_tissue::{Topology, Vec3};
 use shapes::{cuboid, placed, scene};
 
 /// m.
@@ -53,13 +56,28 @@ fn above(lower: &[[f64; 2]]) -> Surface {
 }
 
 /// The two bodies at a place.
-fn built(lower: &[[f64; 2]], turn: [f64; 3]) -> BuildReport {
+fn bodies(lower: &[[f64; 2]], turn: [f64; 3]) -> SceneInput {
     let at = Vec3::new(0.37, 0.53, 0.71) * SPACING;
     let low = Vec3::new(-HALF, -HALF, -HEIGHT) * SPACING;
     let high = Vec3::new(HALF, HALF, 0.0) * SPACING;
     let surfaces = [cuboid(low, high), above(lower)].map(|s| placed(s, turn, at));
-    let input = scene(&format!("{}", SPACING * 1e3), &surfaces).unwrap();
-    let (_, report) = build(&input, &mut |_, _| {}).unwrap();
+    scene(&format!("{}", SPACING * 1e3), &surfaces).unwrap()
+}
+
+/// The report of a sound model of them.
+fn built(lower: &[[f64; 2]], turn: [f64; 3]) -> BuildReport {
+    let (model, report) = build(&bodies(lower, turn), &mut |_, _| {}).unwrap();
+    // Contact uses the triangles of the topology.
+    let topology = Topology::new(Arc::new(model));
+    let boundary = topology.boundary();
+    assert_eq!(boundary.triangles.len(), report.outer_surface.triangles);
+    let mut edges: BTreeMap<[u32; 2], usize> = BTreeMap::new();
+    for t in &boundary.triangles {
+        for [a, b] in [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]] {
+            *edges.entry([a.min(b), a.max(b)]).or_default() += 1;
+        }
+    }
+    assert!(edges.values().all(|uses| *uses == 2), "{turn:?}");
     assert_eq!(report.quality.bad_cells, 0, "{:?}", report.quality);
     assert_eq!(report.surface_faults, [], "{turn:?}");
     assert_eq!(report.outer_surface.components, 1, "{turn:?}");
@@ -100,6 +118,21 @@ fn wedge_is_open_from_a_quarter_of_a_spacing_on() {
             assert!(created(&report) < most, "{width}, {turn:?}");
         }
     }
+}
+
+#[test]
+fn joint_is_equal_on_any_thread_count_and_closed_where_the_scene_fuses() {
+    let mut input = bodies(&[[-HALF, 0.0], [0.0, 0.0], [HALF, 0.6]], TURNS[1]);
+    let on = |threads: usize, input: &SceneInput| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        let pool = pool.build().unwrap();
+        pool.install(|| build(input, &mut |_, _| {}).unwrap().1)
+    };
+    let report = on(1, &input);
+    assert!(report.gaps.iter().map(|g| g.faces).sum::<usize>() > 20);
+    assert_eq!(report.topology_hash, on(3, &input).topology_hash);
+    input.scene.fuse = vec![[0, 1]];
+    assert_eq!(on(3, &input).gaps, []);
 }
 
 /// Area of a strip of this width, in mm².

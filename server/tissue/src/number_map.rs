@@ -1,4 +1,4 @@
-//! Hash maps whose keys are numbers of nodes, cells, forms or matrices.
+//! Hash maps whose keys are numbers of nodes and cells, or consist of such numbers.
 
 use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasherDefault, Hasher};

@@ -14,6 +14,9 @@ const RINGS: usize = 3;
 /// The opened faces to close, as indices into [`Lattice::opened`]: those in the pairs, else the nearest ones. `crossing`
 /// has the two faces of each pair of triangles.
 pub(super) fn crossed(lattice: &Lattice, faces: &[Face], crossing: &[[u32; 2]]) -> BTreeSet<usize> {
+    if crossing.is_empty() {
+        return BTreeSet::new();
+    }
     let opened: BTreeMap<[u32; 4], usize> = (0..)
         .zip(&lattice.opened)
         .flat_map(|(index, face)| lattice.sides(face).map(|nodes| (nodes, index)))

@@ -52,7 +52,7 @@ impl Constraint {
             ..Self::default()
         });
         match interface {
-            // A rim of several interfaces is one of the outer surface.
+            // With several interfaces the rim is that of the outer surface.
             Interface::Outer => Self {
                 owners: kept.owners,
                 ..self

@@ -33,7 +33,7 @@ const LINES: usize = 4;
 const PROBES: usize = 32;
 /// Points in a gap of a quarter of a spacing.
 const GAP_PROBES: usize = PROBES / 8;
-/// Part of a cell that is empty at least beside a face in a gap between parts that touch elsewhere: half of a gap.
+/// Least empty volume, in cells, of the two cells at an opened face between parts that touch elsewhere: half of a gap.
 const EMPTY_MIN: f64 = 0.125;
 
 /// Two regions between which a gap of the input stays open although no cell is empty there.
@@ -165,8 +165,8 @@ fn line_shows(points: impl Iterator<Item = Option<usize>>, regions: [usize; 2]) 
 }
 
 impl Joints<'_> {
-    /// Numbers the lattice with these faces open. Where the end of a gap would make a surface touch itself along an edge,
-    /// the faces there are closed.
+    /// Numbers the lattice with these faces open, less those around pieces of few cells and those that would make a surface
+    /// touch itself along an edge, as the end of a gap may.
     pub(super) fn number(&self, open: &mut Vec<usize>) -> Lattice {
         loop {
             self.keep_attached(open);
@@ -251,11 +251,11 @@ impl Joints<'_> {
         let [Some(p), Some(q)] = cells.map(|c| self.part(c)) else {
             return false;
         };
-        let touch = self.parts.touch(p, q);
-        if p == q {
+        if p == q || self.fused.contains(&regions) {
             return false;
         }
-        if self.fused.contains(&regions) || touch && !self.is_partly_empty(cells) {
+        let touch = self.parts.touch(p, q);
+        if touch && !self.is_partly_empty(cells) {
             return false;
         }
         match self.between(cells, regions) {

@@ -7,8 +7,9 @@
 //! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
 //!    nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
 //! 4. Cells are untangled until all meet the quality floors ([`untangle`]), faces are fitted to their interfaces, and
-//!    regions regain the volume that straight faces have cut off ([`volume_correction`]). Triangles of interfaces that pass through each other are
-//!    parted ([`parting`]).
+//!    regions regain the volume that straight faces have cut off ([`volume_correction`]). Triangles of interfaces that
+//!    pass through each other are parted ([`parting`]). Where they cross at opened faces, these are closed, and steps 3 and
+//!    4 repeated ([`closing`]).
 //! 5. The model is compared with its input ([`compare`]), and parts thinner than the spacing are listed with
 //!    their position ([`interface_samples`], [`thin`]).
 //!
@@ -119,6 +120,10 @@ pub fn build(
     let (mut labels, parts_of) = label::label(&grid, &surfaces, &mut walls);
     let mending = mending::mend_all(&grid, &mut labels, &walls, &parts);
     let lost = walls.lost(&grid, &labels);
+
+    progress("sorting the interfaces", 0.2);
+    let interfaces =
+        interfaces::Interfaces::new(&surfaces, &input.sides, &query, spacing, grid.middle());
     let joints = gaps::Joints {
         grid: &grid,
         labels: &labels,
@@ -127,36 +132,18 @@ pub fn build(
         query: &query,
         fused: &input.scene.fuse,
     };
-    let mut open = joints.open_faces();
-    let mut lattice = joints.number(&mut open);
-    input_check::mending(&mending, &lattice, grid.cell_count(), &mut warnings);
-    if lattice.cells.is_empty() {
-        return Err(input_check::too_coarse(&surfaces, spacing));
-    }
-
-    progress("sorting the interfaces", 0.2);
-    let interfaces =
-        interfaces::Interfaces::new(&surfaces, &input.sides, &query, spacing, grid.middle());
-    let (faces, placed) = loop {
-        let faces = faces::faces(&lattice.cells, &lattice.nodes);
-        let input = Input {
-            surfaces: &surfaces,
-            interfaces: &interfaces,
-            volumes: &input_volumes,
-        };
-        let placed = position_nodes(&grid, &mut lattice, &input, &faces, progress);
-        let crossed = closing::crossed(&lattice, &faces, &placed.crossing);
-        if crossed.is_empty() {
-            break (faces, placed);
-        }
-        let mut index = 0..;
-        open.retain(|_| index.next().is_some_and(|i| !crossed.contains(&i)));
-        lattice = joints.number(&mut open);
+    let placing = Input {
+        surfaces: &surfaces,
+        interfaces: &interfaces,
+        volumes: &input_volumes,
     };
+    let (lattice, faces, placed) = place(&joints, &placing, progress)
+        .ok_or_else(|| input_check::too_coarse(&surfaces, spacing))?;
+    input_check::mending(&mending, &lattice, grid.cell_count(), &mut warnings);
+    drop((labels, walls, parts_of, query));
 
     progress("looking for thin parts", 0.8);
-    let nodes = &placed.positions;
-    let samples = interface_samples::samples(&interfaces, &faces, nodes, grid.middle());
+    let samples = interface_samples::samples(&interfaces, &faces, &placed.positions, grid.middle());
     let mut collector = thin::Collector::of(&grid, &samples, &mending.crumbs, &lost, &parts);
     collector.add_nodes(&placed.strays(&lattice, &interfaces));
     let (around, tied, let_go) = (placed.around, placed.tied, placed.let_go.len());
@@ -226,6 +213,33 @@ fn spacing_of(scene: &Scene, surfaces: &[&Surface]) -> (f64, Option<SpacingRepor
         (spacing, Some(search))
     } else {
         (scene.spacing_m, None)
+    }
+}
+
+/// Numbers the lattice and places its nodes, with as many gaps open as no triangles cross at; `None` without a cell.
+fn place(
+    joints: &gaps::Joints<'_>,
+    input: &Input<'_>,
+    progress: Progress<'_>,
+) -> Option<(lattice::Lattice, Vec<faces::Face>, Placed)> {
+    let mut open = joints.open_faces();
+    let mut lattice = joints.number(&mut open);
+    if lattice.cells.is_empty() {
+        return None;
+    }
+    let mut faces = faces::faces(&lattice.cells, &lattice.nodes);
+    let mut placed = position_nodes(joints.grid, &mut lattice, input, &faces, progress);
+    loop {
+        let crossed = closing::crossed(&lattice, &faces, &placed.crossing);
+        if crossed.is_empty() {
+            return Some((lattice, faces, placed));
+        }
+        progress("placing nodes again", 0.7);
+        let mut index = 0..;
+        open.retain(|_| index.next().is_some_and(|i| !crossed.contains(&i)));
+        lattice = joints.number(&mut open);
+        faces = faces::faces(&lattice.cells, &lattice.nodes);
+        placed = position_nodes(joints.grid, &mut lattice, input, &faces, &mut |_, _| {});
     }
 }
 

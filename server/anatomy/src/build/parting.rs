@@ -4,8 +4,8 @@
 //! through each other, and no floor holds for an empty cell between two faces. The corners of such triangles first move
 //! to the plane that separates the two with the shortest way ([`separations`]), while the floors hold.
 //! Where floors or neighbours prevent that, the nodes of the pair and more and more around them move half way to their
-//! lattice points, and the cells around are untangled again: in the limit all cells there are cubes. Where triangles
-//! cross all the same, these steps are taken back. Copies of a node beside a gap have one lattice point, so these take
+//! lattice points, and the cells around are untangled again: in the limit all cells there are cubes. If triangles
+//! still cross, these steps are taken back. Copies of a node beside a gap have one lattice point, so these take
 //! part in the first way only.
 
 use std::collections::BTreeSet;
@@ -53,7 +53,7 @@ pub(super) fn part_crossings(
     for round in 0..SEPARATIONS + HALVINGS {
         if let Some(halving) = round.checked_sub(SEPARATIONS) {
             let is_gap = |pair: &[u32; 2]| pair.iter().all(|t| faces[*t as usize / 2].is_opened());
-            // Both sides of a gap will be closed, and all nodes will be placed again.
+            // Opened faces that cross will be closed, and all nodes placed again.
             if crossing.iter().any(is_gap) {
                 break;
             }

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use super::ribbon::ROUNDING;
 use super::sheet::nodes_of;
 use crate::cell::{FACES, NO_CELL};
 use crate::nearest::{Feature, nearest_feature};
@@ -12,8 +13,6 @@ use crate::{FaceId, RegionId, Topology, Vec3};
 /// Rounds of projections onto several surfaces (alternating projections), and rings of cells whose faces count.
 const ROUNDS: usize = 4;
 const RINGS: usize = 3;
-/// Relative margin for rounding.
-const ROUNDING: f64 = 1e-9;
 
 /// Faces of each surface near a node.
 #[derive(Debug, Clone, Default)]

@@ -18,6 +18,8 @@ use crate::nearest::{Feature, nearest_feature};
 const BEYOND: f64 = 3.0;
 /// Farthest point with a foot on the surface, in spacings.
 const REACH: f64 = 4.5;
+/// Relative margin for rounding.
+pub(super) const ROUNDING: f64 = 1e-9;
 
 /// A triangle of the ribbon.
 #[derive(Debug, Clone)]
@@ -331,7 +333,10 @@ impl Ribbon {
         let half = (within.high - within.low) / 2.0;
         self.any(
             |bounds| bounds.overlaps(within),
-            |t| t.bounds.overlaps(within) && t.height(&middle).abs() <= t.normal.abs().dot(&half),
+            |t| {
+                let reach = t.normal.abs().dot(&half) * (1.0 + ROUNDING);
+                t.bounds.overlaps(within) && t.height(&middle).abs() <= reach
+            },
         )
     }
 

@@ -1,7 +1,7 @@
 //! Forms and matrices that equal bricks and equal elements share.
 
 use std::collections::BTreeSet;
-use std::hash::Hash;
+use std::hash::{BuildHasherDefault, Hash};
 use std::sync::Arc;
 
 use pulp::{Arch, Simd, WithSimd};
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::brick::{Brick, DIRECTIONS, Form, LOCALS, SPAN};
 use super::element::{Matrix, Sum};
 use super::lanes::LANES;
-use super::quad::trim;
+use super::quad::{ROOM, trim};
 use crate::number_map::NumberMap;
 
 /// Numbers of things that bricks or elements share, by their keys. A number that nothing uses any more is given to the
@@ -37,7 +37,9 @@ impl<K: Hash + Eq> Default for Numbers<K> {
 impl<K: Clone + Hash + Eq> Numbers<K> {
     /// Numbers below `count` that are in use, each as often as listed.
     fn used(count: usize, list: impl Iterator<Item = (u32, K)>) -> Self {
+        let room = count + count / ROOM;
         let mut numbers = Self {
+            known: NumberMap::with_capacity_and_hasher(room, BuildHasherDefault::default()),
             keys: vec![None; count],
             uses: vec![0; count],
             ..Self::default()

@@ -20,7 +20,7 @@ pub(crate) fn plus(a: &Quad, w: f32, b: &Quad) -> Quad {
 
 /// Further items that vectors have room for, as a fraction of their length: the nodes and elements that cuts add. A vector
 /// that grows beyond is copied, which takes milliseconds on the hand's thread.
-const ROOM: usize = 4;
+pub(super) const ROOM: usize = 4;
 
 /// Part of the usual memory by which a vector may exceed it after an undo.
 pub(crate) const SLACK: usize = 32;
