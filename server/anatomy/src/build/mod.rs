@@ -80,7 +80,7 @@ use grid::Grid;
 use palpate_tissue::cell::NO_CELL;
 use palpate_tissue::{Model, TopologyHash, Vec3};
 
-/// Most grid cells of one build. A cell of the grid costs about 10 bytes while it is labelled, so
+/// Most grid cells of one build. A cell of the grid costs about 10 bytes until nodes are placed, so
 /// this is 4 GB; beyond it the build is rejected with the spacing that would fit.
 pub const GRID_CELLS_MAX: f64 = 4e8;
 

@@ -336,7 +336,7 @@ fn meets(grid: &Grid, interfaces: &Interfaces, constraint: Constraint, from: &Ve
 
 /// The tie rule (reconstructed): where interfaces are closer together than a spacing and do not meet, the
 /// interface nearest to a node's lattice point gets the node, and the node stays on the others that meet it there.
-/// The end of a thin layer so remains on the outer surface. Returns the number of such nodes, and changes their
+/// So the end of a thin layer remains on the outer surface. Returns the number of such nodes, and changes their
 /// constraints accordingly.
 pub(super) fn settle_ties(
     grid: &Grid,
