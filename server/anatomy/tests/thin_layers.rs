@@ -112,7 +112,7 @@ const TILTS: [([f64; 3], [f64; 3]); 6] = [
 ];
 
 #[test]
-fn oblique_shell_of_a_box_keeps_its_place_at_any_tilt() {
+fn oblique_shell_of_a_box_keeps_its_place_at_six_tilts() {
     let spacing = SPACING * 1e-3;
     for (turn, at) in TILTS {
         let body = |half: f64| {
@@ -126,7 +126,7 @@ fn oblique_shell_of_a_box_keeps_its_place_at_any_tilt() {
 }
 
 #[test]
-fn sheet_across_a_body_keeps_its_place_at_any_tilt() {
+fn sheet_across_a_body_keeps_its_place_at_six_tilts() {
     // Height of the waves in spacings.
     for waves in [0.0, 1.0] {
         for (turn, at) in TILTS {
