@@ -15,7 +15,7 @@ use crate::datagram::{Body, Header};
 use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused};
 use crate::lateness::LONG_STALL;
 use crate::request::{ClientMessage, Request, RequestKind, ServerMessage};
-use crate::session::copies::{IncomingCopies, OutgoingCopies, REQUEST_COPIES_AFTER};
+use crate::session::copies::{IncomingCopies, OutgoingCopies, copies_needed};
 use crate::session::motion_batch::MotionBatch;
 use crate::session::outbox::Outbox;
 use crate::session::preamble::PreambleReader;
@@ -116,8 +116,8 @@ impl ClientSession {
                 limit: codec::HELLO_MAX_BYTES,
             });
         }
-        let mut copies = OutgoingCopies::new(REQUEST_COPIES_AFTER);
-        copies.push(&frame, false);
+        let mut copies = OutgoingCopies::default();
+        copies.push(&frame, 0);
         outbox.push_bytes(frame)?;
         Ok(Self {
             state: State::Preamble(PreambleReader::default()),
@@ -427,7 +427,8 @@ impl ClientSession {
         let leaving = request.kind == RequestKind::Leave;
         let id = request.id.0;
         let frame = codec::encode_frame(&ClientMessage::Request(request))?;
-        self.copies.push(&frame[codec::PREFIX_BYTES..], true);
+        let needed = copies_needed(self.link.loss_out());
+        self.copies.push(&frame[codec::PREFIX_BYTES..], needed);
         self.outbox.push_bytes(frame)?;
         self.last_request = self.last_request.max(id);
         if leaving {

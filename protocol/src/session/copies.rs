@@ -8,12 +8,18 @@ use std::collections::{BTreeMap, VecDeque};
 
 use crate::Span;
 
-/// From an operation or a refusal to its copies: in another packet, and after a short burst of losses.
-pub const OPERATION_COPIES_AFTER: &[Span] = &[Span::from_millis(2), Span::from_millis(10)];
+/// From a message to its first copy, in the packet of the next motion.
+const FIRST_COPY_AFTER: Span = Span::from_millis(2);
 
-/// From a request to its copy, in the packet of the next motion. Most parts of a stroke open nothing, so that requests are six
-/// times as frequent as operations and have one copy only.
-pub const REQUEST_COPIES_AFTER: &[Span] = &[Span::from_millis(2)];
+/// From a message to its last copy, after a short burst of losses.
+const LAST_COPY_AFTER: Span = Span::from_millis(10);
+
+/// Most copies of a message.
+const COPIES_PER_MESSAGE_MAX: u32 = 3;
+
+/// Largest probability that all copies of a message are lost. A message before it that was lost blocks the stream for more than a round
+/// trip, so that the copies alone decide.
+const ALL_LOST_MAX: f64 = 2e-3;
 
 /// Longer messages have no copies: it must fit a datagram with its header.
 pub const COPY_MAX_BYTES: usize = 1024;
@@ -24,11 +30,16 @@ pub(super) const COPIES_MAX: u32 = 64;
 /// A copy: the number of the message on the stream, from 0, and its bytes as in its frame.
 pub type MessageCopy = (u32, Vec<u8>);
 
+/// The fewest copies that a message needs on a link with this share of lost datagrams.
+pub(super) fn copies_needed(loss: f64) -> u32 {
+    (1..COPIES_PER_MESSAGE_MAX)
+        .find(|n| loss.powi(*n as i32) <= ALL_LOST_MAX)
+        .unwrap_or(COPIES_PER_MESSAGE_MAX)
+}
+
 /// Copies that wait to be sent.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct OutgoingCopies {
-    /// From a message to each of its copies.
-    after: &'static [Span],
     /// Messages so far.
     sent: u32,
     waiting: VecDeque<Waiting>,
@@ -39,27 +50,31 @@ pub(super) struct OutgoingCopies {
 struct Waiting {
     /// When the message left, on the sender's clock; `None` until then.
     left: Option<Span>,
+    /// Copies that the message needs.
+    needed: u32,
     /// Copies that were sent.
-    copies: usize,
+    sent: u32,
     copy: MessageCopy,
 }
 
-impl OutgoingCopies {
-    pub(super) fn new(after: &'static [Span]) -> Self {
-        Self {
-            after,
-            sent: 0,
-            waiting: VecDeque::new(),
-        }
+impl Waiting {
+    /// When the next copy is due.
+    fn due(&self) -> Option<Span> {
+        let range = (LAST_COPY_AFTER - FIRST_COPY_AFTER).as_micros();
+        let after = range * i64::from(self.sent) / i64::from(self.needed.max(2) - 1);
+        Some(self.left? + FIRST_COPY_AFTER + Span::from_micros(after))
     }
+}
 
-    /// Counts a message, and adds its copies if they are wanted and short.
-    pub(super) fn push(&mut self, message: &[u8], is_wanted: bool) {
+impl OutgoingCopies {
+    /// Counts a message, and adds `needed` copies of it if it is short.
+    pub(super) fn push(&mut self, message: &[u8], needed: u32) {
         let has_room = self.waiting.len() < COPIES_MAX as usize;
-        if is_wanted && has_room && message.len() <= COPY_MAX_BYTES {
+        if needed > 0 && has_room && message.len() <= COPY_MAX_BYTES {
             self.waiting.push_back(Waiting {
                 left: None,
-                copies: 0,
+                needed,
+                sent: 0,
                 copy: (self.sent, message.to_vec()),
             });
         }
@@ -77,8 +92,8 @@ impl OutgoingCopies {
     pub(super) fn poll(&mut self, now: Span) -> Option<MessageCopy> {
         let (_, i) = self.next().filter(|(due, _)| *due <= now)?;
         let waiting = &mut self.waiting[i];
-        waiting.copies += 1;
-        if waiting.copies < self.after.len() {
+        waiting.sent += 1;
+        if waiting.sent < waiting.needed {
             return Some(waiting.copy.clone());
         }
         self.waiting.remove(i).map(|waiting| waiting.copy)
@@ -91,7 +106,7 @@ impl OutgoingCopies {
 
     /// When the next copy is due, and whose it is.
     fn next(&self) -> Option<(Span, usize)> {
-        let due = |(i, w): (usize, &Waiting)| Some((w.left? + *self.after.get(w.copies)?, i));
+        let due = |(i, w): (usize, &Waiting)| Some((w.due()?, i));
         self.waiting.iter().enumerate().filter_map(due).min()
     }
 }
@@ -181,14 +196,21 @@ mod tests {
     }
 
     #[test]
+    fn more_copies_are_needed_on_a_link_with_more_loss() {
+        let needed = [0.0, 0.001, 0.01, 0.04, 0.05, 0.1, 0.9].map(copies_needed);
+        assert_eq!(needed, [1, 1, 2, 2, 3, 3, 3]);
+    }
+
+    #[test]
     fn copies_leave_after_their_message() {
-        let mut copies = OutgoingCopies::new(OPERATION_COPIES_AFTER);
+        let mut copies = OutgoingCopies::default();
         let ms = Span::from_millis;
-        copies.push(&[1], false);
-        copies.push(&[2], true);
+        copies.push(&[1], 0);
+        copies.push(&[2], 2);
         copies.note(ms(5));
-        copies.push(&[3], true);
-        copies.push(&[0; COPY_MAX_BYTES + 1], true);
+        copies.push(&[3], 3);
+        copies.push(&[4], 1);
+        copies.push(&[0; COPY_MAX_BYTES + 1], 2);
         copies.note(ms(10));
         let mut left = Vec::new();
         for t in 0..30 {
@@ -196,17 +218,17 @@ mod tests {
                 left.push((t, number));
             }
         }
-        assert_eq!(left, [(7, 1), (12, 2), (15, 1), (20, 2)]);
+        assert_eq!(left, [(7, 1), (12, 2), (12, 3), (15, 1), (16, 2), (20, 2)]);
         assert_eq!(copies.due(), None);
     }
 
     #[test]
     fn clock_that_is_set_back_delays_no_copy() {
-        let mut copies = OutgoingCopies::new(OPERATION_COPIES_AFTER);
-        copies.push(&[1], true);
+        let mut copies = OutgoingCopies::default();
+        copies.push(&[1], 2);
         copies.note(Span::from_millis(3_600_000));
         copies.note(Span::ZERO);
-        for &after in OPERATION_COPIES_AFTER {
+        for after in [FIRST_COPY_AFTER, LAST_COPY_AFTER] {
             assert_eq!(copies.poll(after), Some((0, vec![1])));
         }
     }

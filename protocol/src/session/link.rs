@@ -7,6 +7,7 @@ use crate::datagram::{
     TRACKS_MAX, Tag,
 };
 use crate::lateness::{LocalStalls, Repeated, StallCounter};
+use crate::session::loss::LossEstimate;
 use crate::session::{DATAGRAM_BACKLOG_MAX, MessageCopy};
 use crate::timeline::GAP_LIMIT;
 use crate::{
@@ -112,6 +113,7 @@ pub(super) struct Link {
     last_sequence: u32,
     arrived: SequenceWindow,
     acknowledged: SequenceWindow,
+    loss: LossEstimate,
     /// With the moments since which it waits.
     waiting: VecDeque<(Body, ServerTime)>,
     /// Baselines from the sent datagrams and from the received ones.
@@ -224,6 +226,12 @@ impl Link {
             }
         }
         self.acknowledge(newest);
+        self.loss.note(newest, self.acknowledged.received());
+    }
+
+    /// Estimated share of this side's datagrams that do not arrive, 0 to 1.
+    pub(super) fn loss_out(&self) -> f64 {
+        self.loss.share()
     }
 
     fn acknowledge(&mut self, sequence: u32) {

@@ -15,6 +15,7 @@
 mod client;
 mod copies;
 mod link;
+mod loss;
 mod motion_batch;
 mod outbox;
 mod picture;
@@ -36,7 +37,7 @@ use crate::{ParticipantId, ProtocolError, ServerTime, Span, ToolSample, ToolTrac
 use link::Link;
 
 pub use client::{ClientSession, DELAY_REPORT_PERIOD, PROBE_PERIOD, PROBE_PERIOD_FIRST};
-pub use copies::{COPY_MAX_BYTES, MessageCopy, OPERATION_COPIES_AFTER, REQUEST_COPIES_AFTER};
+pub use copies::{COPY_MAX_BYTES, MessageCopy};
 pub use link::{LinkStats, NoiseCounters};
 pub use picture::{PICTURE_RATE_BITS_PER_S, PICTURE_STEP_UM, Picture, PictureStats};
 pub use server::{

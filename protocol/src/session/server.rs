@@ -11,7 +11,7 @@ use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, RefusalReason, Refused
 use crate::lateness::LONG_STALL;
 use crate::name;
 use crate::request::{ClientMessage, ServerMessage};
-use crate::session::copies::{IncomingCopies, OPERATION_COPIES_AFTER, OutgoingCopies};
+use crate::session::copies::{IncomingCopies, OutgoingCopies, copies_needed};
 use crate::session::outbox::Outbox;
 use crate::session::picture::{PictureStats, PictureStream};
 use crate::session::preamble::{self, PreambleReader};
@@ -104,7 +104,7 @@ impl ServerPeer {
             state: State::Preamble(PreambleReader::default()),
             decoder: FrameDecoder::new(codec::HELLO_MAX_BYTES),
             outbox: Outbox::default(),
-            copies: OutgoingCopies::new(OPERATION_COPIES_AFTER),
+            copies: OutgoingCopies::default(),
             incoming: IncomingCopies::default(),
             link: Link::default(),
             picture: None,
@@ -425,7 +425,8 @@ impl ServerPeer {
         now: ServerTime,
     ) -> Result<(), ProtocolError> {
         let frame = codec::encode_frame(message)?;
-        self.copies.push(&frame[codec::PREFIX_BYTES..], has_copy);
+        let needed = u32::from(has_copy) * copies_needed(self.link.loss_out());
+        self.copies.push(&frame[codec::PREFIX_BYTES..], needed);
         self.copies.note(now - ServerTime::ZERO);
         self.outbox.push_bytes(frame)
     }

@@ -180,11 +180,6 @@ impl Log {
         self.complete_from
     }
 
-    /// When the newest kept operation takes effect.
-    pub(crate) fn newest_at(&self) -> Option<ServerTime> {
-        self.operations.last().map(|o| o.at)
-    }
-
     /// Operations that are kept.
     #[cfg(test)]
     pub(crate) fn len(&self) -> usize {

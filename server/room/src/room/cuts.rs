@@ -106,12 +106,6 @@ impl Room {
         }
     }
 
-    /// When a cut takes effect: with the motion of its blade, which sites show D later.
-    fn effect_of_cut(&self, blade_at: Option<ServerTime>, now: ServerTime) -> ServerTime {
-        let at = blade_at.map_or(now, |at| at.min(now));
-        self.log.newest_at().map_or(at, |newest| at.max(newest))
-    }
-
     /// Counts the strokes, of which each has any number of parts.
     fn count_stroke(&mut self, author: ParticipantId, change: &OperationKind) {
         let OperationKind::Cut(part) = change else {
@@ -147,7 +141,8 @@ impl Room {
                 let before = self.version();
                 self.count_stroke(author, &cut.change);
                 self.topology = (cut.version, cut.hash);
-                let at = self.effect_of_cut(cut.blade_at, now);
+                // With the motion of its blade, which sites show D later. It may be older than the operation before it.
+                let at = cut.blade_at.map_or(now, |at| at.min(now));
                 let apply = TissueOrder::Apply {
                     version: cut.version,
                     at,

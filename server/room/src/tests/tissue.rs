@@ -111,7 +111,7 @@ fn prepared_cut_enters_the_log_and_its_order_has_that_time() {
 }
 
 #[test]
-fn cut_takes_effect_with_its_blade_but_not_before_earlier_operations() {
+fn cut_takes_effect_with_its_blade_also_after_later_cuts() {
     let mut room = table();
     let mut effect_of = |version: u32, blade_ms: i64| {
         asks_to_cut(&mut room, version, ms(1000));
@@ -135,7 +135,7 @@ fn cut_takes_effect_with_its_blade_but_not_before_earlier_operations() {
         at
     };
     assert_eq!(effect_of(1, 930), ms(930));
-    assert_eq!(effect_of(2, 910), ms(930), "the log ascends");
+    assert_eq!(effect_of(2, 910), ms(910), "of another author");
     assert_eq!(effect_of(3, 2000), ms(1000), "a future blade");
 }
 
