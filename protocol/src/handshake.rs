@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// The protocol version of this crate. Every change of a message increments it.
-pub const PROTOCOL_VERSION: u16 = 13;
+pub const PROTOCOL_VERSION: u16 = 14;
 
 /// The first bytes of every palpate stream.
 pub const MAGIC: [u8; 4] = *b"PALP";

@@ -234,8 +234,9 @@ pub struct CutStroke {
     pub width_m: f64,
 }
 
-/// The blade at one moment of a stroke.
+/// The blade at one moment of a stroke. In single precision on the wire: 0.1 µm at 1 m.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(from = "SinglePrecision", into = "SinglePrecision")]
 pub struct BladePoint {
     /// The tip in metres.
     pub tip_m: [f64; 3],
@@ -245,7 +246,41 @@ pub struct BladePoint {
     pub depth_m: f64,
 }
 
+/// A blade point on the wire.
+#[derive(Serialize, Deserialize)]
+struct SinglePrecision {
+    tip_m: [f32; 3],
+    axis: [f32; 3],
+    depth_m: f32,
+}
+
+impl From<BladePoint> for SinglePrecision {
+    fn from(p: BladePoint) -> Self {
+        Self {
+            tip_m: p.tip_m.map(|x| x as f32),
+            axis: p.axis.map(|x| x as f32),
+            depth_m: p.depth_m as f32,
+        }
+    }
+}
+
+impl From<SinglePrecision> for BladePoint {
+    fn from(p: SinglePrecision) -> Self {
+        Self {
+            tip_m: p.tip_m.map(f64::from),
+            axis: p.axis.map(f64::from),
+            depth_m: f64::from(p.depth_m),
+        }
+    }
+}
+
 impl BladePoint {
+    /// The point as a receiver reads it. The server cuts along such points, so that its tissue equals that of the replicas.
+    #[must_use]
+    pub fn rounded(self) -> Self {
+        SinglePrecision::from(self).into()
+    }
+
     /// Whether all numbers are finite, the axis is a unit vector and the depth is not negative.
     pub fn is_valid(&self) -> bool {
         let norm = self.axis.iter().map(|a| a * a).sum::<f64>();

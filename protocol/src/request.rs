@@ -137,30 +137,8 @@ impl CutRequest {
 pub struct TimedBladePoint {
     /// When.
     pub time: ServerTime,
-    /// Where, world frame. In single precision on the wire: 0.1 µm at 1 m.
-    #[serde(with = "single_precision")]
+    /// Where, world frame.
     pub blade: BladePoint,
-}
-
-/// A blade point as seven numbers of single precision.
-mod single_precision {
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-    use crate::operation::BladePoint;
-
-    pub(super) fn serialize<S: Serializer>(blade: &BladePoint, to: S) -> Result<S::Ok, S::Error> {
-        let [tip, axis] = [blade.tip_m, blade.axis].map(|v| v.map(|x| x as f32));
-        (tip, axis, blade.depth_m as f32).serialize(to)
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<BladePoint, D::Error> {
-        let (tip, axis, depth) = <([f32; 3], [f32; 3], f32)>::deserialize(from)?;
-        Ok(BladePoint {
-            tip_m: tip.map(f64::from),
-            axis: axis.map(f64::from),
-            depth_m: f64::from(depth),
-        })
-    }
 }
 
 /// One site's measurement of the age of received motion.

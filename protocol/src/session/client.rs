@@ -15,7 +15,7 @@ use crate::datagram::{Body, Header};
 use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, ROSTER_MAX, RefusalReason, Refused};
 use crate::lateness::LONG_STALL;
 use crate::request::{ClientMessage, Request, RequestKind, ServerMessage};
-use crate::session::copies::{IncomingCopies, OutgoingCopies, copies_needed};
+use crate::session::copies::{IncomingCopies, OutgoingCopies};
 use crate::session::motion_batch::MotionBatch;
 use crate::session::outbox::Outbox;
 use crate::session::preamble::PreambleReader;
@@ -117,7 +117,7 @@ impl ClientSession {
             });
         }
         let mut copies = OutgoingCopies::default();
-        copies.push(&frame, 0);
+        copies.push(&frame, None);
         outbox.push_bytes(frame)?;
         Ok(Self {
             state: State::Preamble(PreambleReader::default()),
@@ -427,8 +427,8 @@ impl ClientSession {
         let leaving = request.kind == RequestKind::Leave;
         let id = request.id.0;
         let frame = codec::encode_frame(&ClientMessage::Request(request))?;
-        let needed = copies_needed(self.link.loss_out());
-        self.copies.push(&frame[codec::PREFIX_BYTES..], needed);
+        let loss = self.link.loss_out();
+        self.copies.push(&frame[codec::PREFIX_BYTES..], Some(loss));
         self.outbox.push_bytes(frame)?;
         self.last_request = self.last_request.max(id);
         if leaving {

@@ -31,7 +31,7 @@ pub(super) const COPIES_MAX: u32 = 64;
 pub type MessageCopy = (u32, Vec<u8>);
 
 /// The fewest copies that a message needs on a link with this share of lost datagrams.
-pub(super) fn copies_needed(loss: f64) -> u32 {
+fn copies_needed(loss: f64) -> u32 {
     (1..COPIES_PER_MESSAGE_MAX)
         .find(|n| loss.powi(*n as i32) <= ALL_LOST_MAX)
         .unwrap_or(COPIES_PER_MESSAGE_MAX)
@@ -67,13 +67,14 @@ impl Waiting {
 }
 
 impl OutgoingCopies {
-    /// Counts a message, and adds `needed` copies of it if it is short.
-    pub(super) fn push(&mut self, message: &[u8], needed: u32) {
+    /// Counts a message. Adds the copies that it needs on a link with this `loss` if it is short; `None` for no copies.
+    pub(super) fn push(&mut self, message: &[u8], loss: Option<f64>) {
         let has_room = self.waiting.len() < COPIES_MAX as usize;
-        if needed > 0 && has_room && message.len() <= COPY_MAX_BYTES {
+        let is_short = message.len() <= COPY_MAX_BYTES;
+        if let Some(loss) = loss.filter(|_| has_room && is_short) {
             self.waiting.push_back(Waiting {
                 left: None,
-                needed,
+                needed: copies_needed(loss),
                 sent: 0,
                 copy: (self.sent, message.to_vec()),
             });
@@ -205,12 +206,12 @@ mod tests {
     fn copies_leave_after_their_message() {
         let mut copies = OutgoingCopies::default();
         let ms = Span::from_millis;
-        copies.push(&[1], 0);
-        copies.push(&[2], 2);
+        copies.push(&[1], None);
+        copies.push(&[2], Some(0.01));
         copies.note(ms(5));
-        copies.push(&[3], 3);
-        copies.push(&[4], 1);
-        copies.push(&[0; COPY_MAX_BYTES + 1], 2);
+        copies.push(&[3], Some(0.1));
+        copies.push(&[4], Some(0.0));
+        copies.push(&[0; COPY_MAX_BYTES + 1], Some(0.01));
         copies.note(ms(10));
         let mut left = Vec::new();
         for t in 0..30 {
@@ -225,7 +226,7 @@ mod tests {
     #[test]
     fn clock_that_is_set_back_delays_no_copy() {
         let mut copies = OutgoingCopies::default();
-        copies.push(&[1], 2);
+        copies.push(&[1], Some(0.01));
         copies.note(Span::from_millis(3_600_000));
         copies.note(Span::ZERO);
         for after in [FIRST_COPY_AFTER, LAST_COPY_AFTER] {

@@ -11,7 +11,7 @@ use crate::handshake::{Hello, PROTOCOL_VERSION, Preamble, RefusalReason, Refused
 use crate::lateness::LONG_STALL;
 use crate::name;
 use crate::request::{ClientMessage, ServerMessage};
-use crate::session::copies::{IncomingCopies, OutgoingCopies, copies_needed};
+use crate::session::copies::{IncomingCopies, OutgoingCopies};
 use crate::session::outbox::Outbox;
 use crate::session::picture::{PictureStats, PictureStream};
 use crate::session::preamble::{self, PreambleReader};
@@ -308,9 +308,8 @@ impl ServerPeer {
                 if now - self.last_received >= PEER_SILENCE {
                     self.close(CloseReason::Silent(PEER_SILENCE));
                 } else if self.outbox.is_stalled(now) {
-                    self.violation(ProtocolError::Stalled {
-                        waited: STREAM_STALL_MAX,
-                    });
+                    let waited = STREAM_STALL_MAX;
+                    self.violation(ProtocolError::Stalled { waited });
                 } else if now >= self.heartbeat_due {
                     self.heartbeat_due = now + HEARTBEAT;
                     self.link.enqueue(Body::Delays(Vec::new()), now);
@@ -425,8 +424,8 @@ impl ServerPeer {
         now: ServerTime,
     ) -> Result<(), ProtocolError> {
         let frame = codec::encode_frame(message)?;
-        let needed = u32::from(has_copy) * copies_needed(self.link.loss_out());
-        self.copies.push(&frame[codec::PREFIX_BYTES..], needed);
+        let loss = has_copy.then(|| self.link.loss_out());
+        self.copies.push(&frame[codec::PREFIX_BYTES..], loss);
         self.copies.note(now - ServerTime::ZERO);
         self.outbox.push_bytes(frame)
     }

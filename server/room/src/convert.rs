@@ -18,7 +18,7 @@ pub(crate) fn part_to_tissue(author: ParticipantId, part: &CutStroke) -> StrokeP
 }
 
 /// Maps the path of a stroke from the deformed to the rest frame by the inverse deformation. Points outside the tissue stay
-/// unchanged.
+/// unchanged. The points are [rounded](BladePoint::rounded) as in the log.
 pub(crate) fn path_at_rest(
     request: &CutRequest,
     topology: &Topology,
@@ -33,7 +33,8 @@ pub(crate) fn path_at_rest(
                     tip_m: rest.tip.into(),
                     axis: rest.axis.into(),
                     depth_m: rest.depth_m,
-                },
+                }
+                .rounded(),
                 None => p.blade,
             },
         )

@@ -511,6 +511,8 @@ impl Site {
 }
 
 #[cfg(test)]
+mod applying_tests;
+#[cfg(test)]
 mod controlled_tests;
 #[cfg(test)]
 mod snapshot_tests;

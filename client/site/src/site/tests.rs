@@ -279,19 +279,6 @@ pub(super) fn hash_of_the_cut() -> TopologyHash {
 }
 
 #[test]
-fn cut_that_waits_at_the_join_goes_to_the_cut_worker() {
-    let mut site = site(0);
-    tell(&mut site, cut_of(hash_of_the_cut()), 50);
-    let (mut prefetch, _view) = site.detach().unwrap();
-    site.advance(ms(120)).unwrap();
-    assert_eq!(site.replica().topology().version(), 0, "not made yet");
-    prefetch.order(site.poll_cut_order().unwrap());
-    site.handle_cut(prefetch.work().unwrap().unwrap());
-    site.advance(ms(124)).unwrap();
-    assert_eq!(site.replica().topology().version(), 1);
-}
-
-#[test]
 fn resync_restores_replica_after_different_cut() {
     let truth = hash_of_the_cut();
     let mut site = site(0);

@@ -292,6 +292,27 @@ fn blade_that_follows_its_wound_has_no_reaction() {
 }
 
 #[test]
+fn made_cut_is_the_one_that_replicas_read() {
+    let (authority, mut cutter) = Authority::new(model());
+    let RequestKind::Cut(cut) = stroke() else {
+        unreachable!()
+    };
+    let job = authority.job(&crate::CutOrder {
+        author: ParticipantId(1),
+        request: RequestId(1),
+        change: crate::RequestedChange::Cut(cut),
+    });
+    let (report, _) = cutter.make(&job);
+    let TissueReport::Cut { result, .. } = report else {
+        panic!("{report:?}")
+    };
+    let OperationKind::Cut(made) = result.unwrap().change else {
+        panic!("no cut")
+    };
+    assert!(made.points.iter().all(|p| *p == p.rounded()));
+}
+
+#[test]
 fn settled_tick_reports_the_holders_of_needles_that_enter() {
     let (mut authority, _) = Authority::new(model());
     let mut holders = |height: f64| {
