@@ -8,7 +8,7 @@ use crate::handshake::{ROSTER_MAX, Role};
 use crate::tool::ToolDescription;
 use crate::{Emulation, OperationId, ParticipantId, Pose, ServerTime, Span, TopologyHash};
 
-/// The most blade points in one stroke. 512 points of 56 B stay below half of the largest frame. The
+/// The most blade points in one stroke. 512 points of 28 B stay below a quarter of the largest frame. The
 /// server refuses a longer stroke; the client cuts it in pieces.
 pub const STROKE_MAX_POINTS: usize = 512;
 
@@ -17,7 +17,8 @@ pub const STROKE_MAX_POINTS: usize = 512;
 pub struct Operation {
     /// Its position in the log.
     pub id: OperationId,
-    /// The time of the operation: sites show it at `at` + D.
+    /// The time of the operation; that of the blade for a cut, so that times do not ascend. Sites apply an operation that
+    /// [waits](OperationKind::waits) at `at` + D, and never before an earlier one.
     pub at: ServerTime,
     /// The participant that requested it.
     pub author: ParticipantId,
@@ -190,6 +191,23 @@ impl OperationKind {
             self,
             Self::Cut(_) | Self::Reset | Self::Undone | Self::Redone
         )
+    }
+
+    /// Whether it waits until sites show its time, because it changes the topology or displayed tools. All others take effect
+    /// once the operations before them have.
+    pub const fn waits(&self) -> bool {
+        self.changes_topology()
+            || matches!(
+                self,
+                Self::Left { .. }
+                    | Self::Disconnected { .. }
+                    | Self::Reconnected { .. }
+                    | Self::ToolChanged { .. }
+                    | Self::Demoted { .. }
+                    | Self::Restored { .. }
+                    | Self::Muted { .. }
+                    | Self::Frozen { .. }
+            )
     }
 
     /// Whether every number is in range and every text is visible.

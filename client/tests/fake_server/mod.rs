@@ -77,10 +77,13 @@ fn model() -> Model {
 }
 
 fn stroke() -> CutStroke {
-    let point = |i: u32| BladePoint {
-        tip_m: [f64::from(i) * CELL, 5.2 * CELL, 3.5 * CELL],
-        axis: [0.0, 0.0, 1.0],
-        depth_m: 4.0 * CELL,
+    let point = |i: u32| {
+        let point = BladePoint {
+            tip_m: [f64::from(i) * CELL, 5.2 * CELL, 3.5 * CELL],
+            axis: [0.0, 0.0, 1.0],
+            depth_m: 4.0 * CELL,
+        };
+        point.rounded()
     };
     CutStroke {
         began: ServerTime::ZERO,

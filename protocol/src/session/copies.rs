@@ -8,17 +8,17 @@ use std::collections::{BTreeMap, VecDeque};
 
 use crate::Span;
 
-/// From a message to its first copy, in the packet of the next motion.
+/// From a message to the first of several copies, in the packet of the next motion.
 const FIRST_COPY_AFTER: Span = Span::from_millis(2);
 
-/// From a message to its last copy, after a short burst of losses.
+/// From a message to its last or only copy, after a short burst of losses.
 const LAST_COPY_AFTER: Span = Span::from_millis(10);
 
 /// Most copies of a message.
 const COPIES_PER_MESSAGE_MAX: u32 = 3;
 
-/// Largest probability that all copies of a message are lost. A message before it that was lost blocks the stream for more than a round
-/// trip, so that the copies alone decide.
+/// Largest probability that all copies of a message are lost, if losses are independent. A lost earlier message blocks the stream
+/// for more than a round trip; then only copies arrive in time.
 const ALL_LOST_MAX: f64 = 2e-3;
 
 /// Longer messages have no copies: it must fit a datagram with its header.
@@ -61,8 +61,9 @@ impl Waiting {
     /// When the next copy is due.
     fn due(&self) -> Option<Span> {
         let range = (LAST_COPY_AFTER - FIRST_COPY_AFTER).as_micros();
-        let after = range * i64::from(self.sent) / i64::from(self.needed.max(2) - 1);
-        Some(self.left? + FIRST_COPY_AFTER + Span::from_micros(after))
+        let further = self.needed - self.sent - 1;
+        let before_last = range * i64::from(further) / i64::from(self.needed.max(2) - 1);
+        Some(self.left? + LAST_COPY_AFTER - Span::from_micros(before_last))
     }
 }
 
@@ -219,7 +220,7 @@ mod tests {
                 left.push((t, number));
             }
         }
-        assert_eq!(left, [(7, 1), (12, 2), (12, 3), (15, 1), (16, 2), (20, 2)]);
+        assert_eq!(left, [(7, 1), (12, 2), (15, 1), (16, 2), (20, 2), (20, 3)]);
         assert_eq!(copies.due(), None);
     }
 

@@ -57,6 +57,35 @@ fn copies_overtake_a_stream_that_waits_and_arrive_once() {
     assert!(!pair.server.is_closed() && !pair.client.is_closed());
 }
 
+/// Datagrams that requests add to those of a client without them, per request.
+fn copies_per_request(loss: f64) -> f64 {
+    let mut pair = Pair::new(3, 20_000, 0, loss);
+    pair.join(1);
+    pair.steps(20_000);
+    let mut sent = |requests: i64| {
+        let before = pair.client.stats(pair.client_now()).sent;
+        for _ in 0..requests {
+            let undo = RequestKind::Control(Control::Undo);
+            pair.client.request(undo).unwrap();
+            pair.steps(50);
+        }
+        pair.steps(50 * (100 - requests));
+        (pair.client.stats(pair.client_now()).sent - before) as f64
+    };
+    let idle = sent(0);
+    (sent(100) - idle) / 100.0
+}
+
+#[test]
+fn number_of_copies_follows_the_loss_of_the_link() {
+    let per_request = [0.0, 0.02, 0.1].map(copies_per_request);
+    assert_eq!(
+        per_request.map(f64::round),
+        [1.0, 2.0, 3.0],
+        "{per_request:?}"
+    );
+}
+
 #[test]
 fn log_of_the_welcome_has_no_copies() {
     let mut pair = Pair::new(3, 20_000, 0, 0.0);

@@ -2,7 +2,7 @@
 
 use palpate_protocol::ParticipantId;
 use palpate_protocol::operation::{BladePoint, CutStroke};
-use palpate_protocol::request::CutRequest;
+use palpate_protocol::request::{CutRequest, TimedBladePoint};
 use palpate_tissue::{Shape, StrokePart, Topology, Vec3};
 
 /// Converts a part of an author's stroke to the tissue's type.
@@ -24,21 +24,18 @@ pub(crate) fn path_at_rest(
     topology: &Topology,
     shape: &Shape,
 ) -> Vec<BladePoint> {
-    request
-        .points
-        .iter()
-        .map(
-            |p| match point_to_tissue(&p.blade).to_rest(topology, shape) {
-                Some(rest) => BladePoint {
-                    tip_m: rest.tip.into(),
-                    axis: rest.axis.into(),
-                    depth_m: rest.depth_m,
-                }
-                .rounded(),
-                None => p.blade,
+    let at_rest = |p: &TimedBladePoint| {
+        let blade = match point_to_tissue(&p.blade).to_rest(topology, shape) {
+            Some(rest) => BladePoint {
+                tip_m: rest.tip.into(),
+                axis: rest.axis.into(),
+                depth_m: rest.depth_m,
             },
-        )
-        .collect()
+            None => p.blade,
+        };
+        blade.rounded()
+    };
+    request.points.iter().map(at_rest).collect()
 }
 
 fn point_to_tissue(p: &BladePoint) -> palpate_tissue::BladePoint {

@@ -139,7 +139,7 @@ impl Changes {
 /// Space of a change of the topology: at least its bytes on the wire.
 fn space_of(kind: &OperationKind) -> u64 {
     /// Bytes of a blade point, and of all else in a cut.
-    const POINT: usize = 56;
+    const POINT: usize = 28;
     const REST: usize = 96;
     let points = match kind {
         OperationKind::Cut(stroke) => stroke.points.len(),

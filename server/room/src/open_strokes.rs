@@ -10,8 +10,9 @@ use palpate_protocol::{ParticipantId, ServerTime};
 
 use crate::config::SEATS_MAX;
 
-/// Points before a part that are kept while they part nothing: 24 mm at a client's 0.75 mm, six spacings of 4 mm.
-const PENDING_MAX: usize = 32;
+/// Points before a part that are kept while they part nothing: 18 to 36 mm of path. With them and the points of its request (9 at
+/// 0.4 m/s), a part is short enough for copies.
+const PENDING_MAX: usize = 24;
 
 /// Strokes that are open at once: one per seat. Of more, as participants leave during their strokes, the oldest are dropped.
 const OPEN_MAX: usize = SEATS_MAX as usize;
@@ -117,6 +118,12 @@ const _: () = assert!(PENDING_MAX < STROKE_MAX_POINTS);
 
 #[cfg(test)]
 mod tests {
+    use palpate_protocol::codec::{PREFIX_BYTES, encode_frame};
+    use palpate_protocol::operation::{Operation, OperationKind};
+    use palpate_protocol::request::ServerMessage;
+    use palpate_protocol::session::COPY_MAX_BYTES;
+    use palpate_protocol::{OperationId, TopologyHash};
+
     use super::*;
 
     const ME: ParticipantId = ParticipantId(1);
@@ -140,6 +147,31 @@ mod tests {
     fn tips(cut: &CutStroke) -> Vec<i64> {
         let tip = |p: &BladePoint| (1e3 * p.tip_m[0]).round() as i64;
         cut.points.iter().map(tip).collect()
+    }
+
+    #[test]
+    fn first_part_of_a_stroke_is_short_enough_for_copies() {
+        let mut open = OpenStrokes::default();
+        let hour = 3_600_000_000;
+        for i in 0..40 {
+            // 9 points per request.
+            let [from, to] = [hour + 9 * i, hour + 9 * (i + 1)];
+            let part = part(hour, from, to, false);
+            let cut = open.extend(ME, &part).unwrap();
+            open.note(ME, &part, false);
+            let operation = Operation {
+                id: OperationId(1 << 40),
+                at: ServerTime::from_micros(to),
+                author: ME,
+                topology_version_before: u32::MAX - 1,
+                topology_version_after: u32::MAX,
+                hash_after: TopologyHash(u64::MAX),
+                kind: OperationKind::Cut(cut),
+            };
+            let frame = encode_frame(&ServerMessage::Operation(operation)).unwrap();
+            let bytes = frame.len() - PREFIX_BYTES;
+            assert!(bytes <= COPY_MAX_BYTES, "{bytes} bytes");
+        }
     }
 
     #[test]

@@ -39,9 +39,9 @@ impl Site {
         now: ClientTime,
     ) -> Result<(), SiteError> {
         while let Some(first) = self.deferred.front() {
-            // A change of D has a time of its own. Cuts behind it in the log have the earlier time of their blade.
-            let can_wait = !matches!(first.kind, OperationKind::Compensation { .. });
-            if can_wait && s.is_some_and(|s| first.at > s) || !self.apply_first(now)? {
+            // Cuts behind it in the log have the earlier time of their blade.
+            let waits = first.kind.waits() && s.is_some_and(|s| first.at > s);
+            if waits || !self.apply_first(now)? {
                 break;
             }
         }

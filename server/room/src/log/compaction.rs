@@ -53,7 +53,10 @@ impl Log {
             }
             if o.kind.changes_topology() {
                 let state = (o.topology_version_after, o.hash_after);
-                self.dropped = Some((o.id.next(), state));
+                // Times do not ascend: a later change may have been dropped before.
+                if self.dropped.is_none_or(|(after, _)| after <= o.id) {
+                    self.dropped = Some((o.id.next(), state));
+                }
             } else if about(&o.kind).is_some() {
                 self.about_participants -= 1;
             } else {

@@ -200,6 +200,25 @@ fn snapshot_replaces_the_changes_up_to_its_version() {
 }
 
 #[test]
+fn state_after_compaction_is_that_of_the_latest_dropped_change() {
+    let mut log = Log::default();
+    for version in 1..=4 {
+        // The last blade is older than the one before it.
+        let second = if version == 4 { 0 } else { 2 };
+        change(&mut log, second, version, stroke(2));
+    }
+    assert!(log.cover(4, &[0; 100]));
+    for second in 70..80 {
+        log.compact(at(second));
+    }
+    assert_eq!(log.len(), 0);
+    assert_eq!(
+        log.dropped.map(|(after, (version, _))| (after.0, version)),
+        Some((4, 4))
+    );
+}
+
+#[test]
 fn snapshots_keep_the_log_short_and_its_space_free() {
     let mut log = Log::default();
     let mut snapshots = 0;

@@ -8,6 +8,7 @@
 use palpate_protocol::operation::OperationKind;
 use palpate_protocol::permission::Permission;
 use palpate_protocol::request::{CutRequest, RequestRefusal};
+use palpate_protocol::session::PEER_SILENCE;
 use palpate_protocol::tool::ToolKind;
 use palpate_protocol::{ParticipantId, RequestId, ServerTime, Span};
 
@@ -141,8 +142,8 @@ impl Room {
                 let before = self.version();
                 self.count_stroke(author, &cut.change);
                 self.topology = (cut.version, cut.hash);
-                // With the motion of its blade, which sites show D later. It may be older than the operation before it.
-                let at = cut.blade_at.map_or(now, |at| at.min(now));
+                // A cut has the time of its blade, which may be earlier than that of the operation before it.
+                let at = (cut.blade_at).map_or(now, |at| at.clamp(now - PEER_SILENCE, now));
                 let apply = TissueOrder::Apply {
                     version: cut.version,
                     at,

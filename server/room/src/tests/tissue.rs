@@ -294,9 +294,12 @@ fn blade_that_follows_its_wound_has_no_reaction() {
 #[test]
 fn made_cut_is_the_one_that_replicas_read() {
     let (authority, mut cutter) = Authority::new(model());
-    let RequestKind::Cut(cut) = stroke() else {
+    let RequestKind::Cut(mut cut) = stroke() else {
         unreachable!()
     };
+    // A tip beyond the tissue has no rest position.
+    cut.points[3].blade.tip_m[2] = -0.0213;
+    cut.points[3].blade.depth_m = 0.0693;
     let job = authority.job(&crate::CutOrder {
         author: ParticipantId(1),
         request: RequestId(1),
