@@ -18,7 +18,7 @@ pub struct Operation {
     /// Its position in the log.
     pub id: OperationId,
     /// The time of the operation; that of the blade for a cut, so that times do not ascend. Sites apply an operation that
-    /// [waits](OperationKind::waits) at `at` + D, and never before an earlier one.
+    /// [waits](OperationKind::waits) at `at` + D, and none before one with a smaller number.
     pub at: ServerTime,
     /// The participant that requested it.
     pub author: ParticipantId,

@@ -77,18 +77,15 @@ fn model() -> Model {
 }
 
 fn stroke() -> CutStroke {
-    let point = |i: u32| {
-        let point = BladePoint {
-            tip_m: [f64::from(i) * CELL, 5.2 * CELL, 3.5 * CELL],
-            axis: [0.0, 0.0, 1.0],
-            depth_m: 4.0 * CELL,
-        };
-        point.rounded()
+    let point = |i: u32| BladePoint {
+        tip_m: [f64::from(i) * CELL, 5.2 * CELL, 3.5 * CELL],
+        axis: [0.0, 0.0, 1.0],
+        depth_m: 4.0 * CELL,
     };
     CutStroke {
         began: ServerTime::ZERO,
         joins: false,
-        points: (2..9).map(point).collect(),
+        points: (2..9).map(|i| point(i).rounded()).collect(),
         width_m: 0.5e-3,
     }
 }

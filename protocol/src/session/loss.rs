@@ -3,7 +3,7 @@
 /// Datagrams per measurement: a quarter of a second of motion.
 const WINDOW: u32 = 64;
 
-/// The latest measurement has at least one part in so many: at a loss of 0.1 the estimate has a deviation of 0.007.
+/// The latest measurement weighs at least one part in this number: at a loss of 0.1 the estimate has a deviation of 0.007.
 const MEMORY: u32 = 16;
 
 /// Loss before the first measurement: that of a wireless link.

@@ -14,7 +14,8 @@ pub struct OperationRecord {
     pub at_us: i64,
     /// Time of application here, monotonic.
     pub applied_us: i64,
-    /// By how much the displayed time was past it, negative for an operation that does not wait; `None` for the log before the join.
+    /// By how much the displayed time was past it, negative for an operation that does not wait; `None` for the log before
+    /// the join.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_us: Option<i64>,
     /// Topology version after it.

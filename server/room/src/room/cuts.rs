@@ -142,7 +142,8 @@ impl Room {
                 let before = self.version();
                 self.count_stroke(author, &cut.change);
                 self.topology = (cut.version, cut.hash);
-                // A cut has the time of its blade, which may be earlier than that of the operation before it.
+                // A cut has the time of its blade, which may be earlier than that of the operation before it. The bound
+                // keeps a repeated old cut in the log almost as long as others.
                 let at = (cut.blade_at).map_or(now, |at| at.clamp(now - PEER_SILENCE, now));
                 let apply = TissueOrder::Apply {
                     version: cut.version,

@@ -2,6 +2,7 @@
 
 use super::*;
 use palpate_protocol::ParticipantId;
+use palpate_protocol::session::PEER_SILENCE;
 use palpate_protocol::tool::{part_id, part_owner};
 use palpate_tissue::{Form, Needle, Tool, Vec3};
 
@@ -135,8 +136,13 @@ fn cut_takes_effect_with_its_blade_also_after_later_cuts() {
         at
     };
     assert_eq!(effect_of(1, 930), ms(930));
-    assert_eq!(effect_of(2, 910), ms(910), "of another author");
+    assert_eq!(effect_of(2, 910), ms(910), "a blade before the last one");
     assert_eq!(effect_of(3, 2000), ms(1000), "a future blade");
+    assert_eq!(
+        effect_of(4, -60_000),
+        ms(1000) - PEER_SILENCE,
+        "a repeated cut"
+    );
 }
 
 #[test]
