@@ -7,7 +7,7 @@ mod shapes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use palpate_anatomy::{BuildReport, SceneInput, Surface, build};
+use palpate_anatomy::{BuildReport, ContactReport, SceneInput, Surface, build};
 use palpate_tissue::{Topology, Vec3};
 use shapes::{cuboid, placed, scene};
 
@@ -117,6 +117,49 @@ fn wedge_is_open_from_a_quarter_of_a_spacing_on() {
             let most = area(narrow + 1.0);
             assert!(created(&report) < most, "{width}, {turn:?}");
         }
+    }
+}
+
+/// A lower side that touches the plane every eight spacings and is so many spacings above it half way between.
+fn waves(height: f64) -> Vec<[f64; 2]> {
+    (0..=64)
+        .map(|i| {
+            let x = HALF * (f64::from(i) / 32.0 - 1.0);
+            [
+                x,
+                height * (1.0 - (x * std::f64::consts::FRAC_PI_4).cos()) / 2.0,
+            ]
+        })
+        .collect()
+}
+
+#[test]
+fn gap_that_ends_at_many_contacts_stays_open() {
+    for height in [0.6, 1.0] {
+        for turn in TURNS {
+            let report = built(&waves(height), turn);
+            assert!(report.gaps[0].area_mm2 > 200.0, "{height}, {turn:?}");
+            assert_eq!(created(&report), 0.0, "{height}, {turn:?}");
+            let kept = |c: &ContactReport| c.removed_mm2 < 0.1 * c.input_mm2;
+            assert!(report.contacts.iter().all(kept), "{:?}", report.contacts);
+        }
+    }
+}
+
+#[test]
+fn film_on_one_side_of_a_gap_holds_nothing() {
+    for turn in TURNS {
+        let [low, high] = [-HALF, HALF].map(|side| Vec3::new(side, side, 0.0) * SPACING);
+        let up = Vec3::z() * SPACING;
+        let below = cuboid(low - HEIGHT * up, high);
+        let film = cuboid(low, high + 0.1 * up);
+        let above = above(&[[-HALF, 0.7], [HALF, 0.7]]);
+        let at = Vec3::new(0.37, 0.53, 0.71) * SPACING;
+        let surfaces = [below, above, film].map(|s| placed(s, turn, at));
+        let input = scene(&format!("{}", SPACING * 1e3), &surfaces).unwrap();
+        let (_, report) = build(&input, &mut |_, _| {}).unwrap();
+        assert_eq!(created(&report), 0.0, "{turn:?}");
+        assert_eq!(report.outer_surface.components, 2, "{turn:?}");
     }
 }
 

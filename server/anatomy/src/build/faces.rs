@@ -31,11 +31,6 @@ impl Face {
         }
     }
 
-    /// Whether it is one side of an opened face.
-    pub(super) fn is_opened(&self) -> bool {
-        self.beyond.is_some()
-    }
-
     pub(super) fn corners(&self, positions: &[Vec3]) -> [Vec3; 4] {
         self.nodes.map(|n| positions[n as usize])
     }

@@ -6,9 +6,9 @@
 //! that its own cells face, so the gap gets its true width.
 //!
 //! Lines across a face show whether the regions of its cells touch there. It is opened where most lines find a gap of
-//! a quarter of a spacing or more, unless the scene fuses the two. Tissue in the gap holds both. Where a face lies on one
-//! side of the gap and no line shows both regions, it is opened between parts of the regions that touch nowhere, as the
-//! rays know that measure the fill of the cells.
+//! [`GAP_MIN`] or more, unless the scene fuses the two. Tissue on the line holds both only if no such gap is beside it.
+//! Where a face lies on one side of the gap and no line shows both regions, it is opened between parts of the regions that
+//! touch nowhere, as the rays know that measure the fill of the cells.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -28,13 +28,12 @@ use super::walls::{Share, Walls};
 /// nothing holds it.
 const PIECE_MIN: usize = 4;
 
+/// Width in spacings from which on a gap between regions stays open, and one within a region: necks thinner than a cell
+/// may hold the parts of one tissue.
+const GAP_MIN: [f64; 2] = [0.125, 0.25];
 /// Lines across a face along each of its sides, and points along each line over both cells.
 const LINES: usize = 4;
 const PROBES: usize = 32;
-/// Points in a gap of a quarter of a spacing.
-const GAP_PROBES: usize = PROBES / 8;
-/// Least empty volume, in cells, of the two cells at an opened face between parts that touch elsewhere: half of a gap.
-const EMPTY_MIN: f64 = 0.125;
 
 /// Two regions between which a gap of the input stays open although no cell is empty there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -127,61 +126,57 @@ pub(super) struct Joints<'a> {
     pub(super) fused: &'a [[usize; 2]],
 }
 
-/// The space between two parts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Between {
-    /// Less than a quarter of a spacing.
-    Contact,
-    Gap,
-    /// Other regions, which hold both parts.
-    Tissue,
-}
-
-/// The space on a line between two regions, from the regions of its points; `None` unless the line passes from one to
-/// the other.
-fn line_shows(points: impl Iterator<Item = Option<usize>>, regions: [usize; 2]) -> Option<Between> {
+/// The most empty points in a row on a line between two regions, from the regions of its points; `None` unless the line
+/// passes from one to the other.
+fn empty_between(
+    points: impl Iterator<Item = Option<usize>>,
+    regions: [usize; 2],
+) -> Option<usize> {
     let [a, b] = regions;
-    // The last of the two regions, the number of points since, and whether tissue is among them.
-    let mut last: Option<(usize, usize, bool)> = None;
+    // The last of the two regions; since then the number of points, of empty ones in a row, and the most of these.
+    let mut last: Option<(usize, [usize; 3])> = None;
     let mut found = None;
     for point in points {
         if let Some(region) = point.filter(|r| regions.contains(r)) {
-            if let Some((before, width, tissue)) = last
+            if let Some((before, [width, _, empty])) = last
                 && (before != region || a == b && width > 0)
             {
-                found = found.max(Some(match width {
-                    _ if tissue => Between::Tissue,
-                    ..GAP_PROBES => Between::Contact,
-                    _ => Between::Gap,
-                }));
+                found = found.max(Some(empty));
             }
-            last = Some((region, 0, false));
-        } else if let Some((_, width, tissue)) = &mut last {
+            last = Some((region, [0; 3]));
+        } else if let Some((_, [width, empty, most])) = &mut last {
             *width += 1;
-            *tissue |= point.is_some();
+            *empty = if point.is_none() { *empty + 1 } else { 0 };
+            *most = (*most).max(*empty);
         }
     }
     found
 }
 
+/// The width of the narrowest gap between two regions that stays open.
+fn narrowest([a, b]: [usize; 2]) -> f64 {
+    GAP_MIN[usize::from(a == b)]
+}
+
 impl Joints<'_> {
-    /// Numbers the lattice with these faces open, less those around pieces of few cells and those that would make a surface
-    /// touch itself along an edge, as the end of a gap may.
-    pub(super) fn number(&self, open: &mut Vec<usize>) -> Lattice {
+    /// Numbers the lattice with all gaps open, but for faces around pieces of few cells and those that would make a surface
+    /// touch itself along an edge, as the end of a gap may. `None` without a cell.
+    pub(super) fn number(&self) -> Option<Lattice> {
+        let mut open = self.open_faces();
         loop {
-            self.keep_attached(open);
-            let lattice = lattice::number(self.grid, self.labels, open);
-            let mut touching = lattice.touching().into_iter();
+            self.keep_attached(&mut open);
+            let lattice = lattice::number(self.grid, self.labels, &open);
+            let mut kept = lattice.may_stay_open().into_iter();
             let before = open.len();
-            open.retain(|_| !touching.next().unwrap_or(false));
+            open.retain(|_| kept.next().unwrap_or(true));
             if open.len() == before {
-                return lattice;
+                return (!lattice.cells.is_empty()).then_some(lattice);
             }
         }
     }
 
     /// The faces to open, as three times the lower cell plus the axis across; sorted.
-    pub(super) fn open_faces(&self) -> Vec<usize> {
+    fn open_faces(&self) -> Vec<usize> {
         let layers = (0..self.grid.cells[2]).into_par_iter();
         let mut open: Vec<usize> = layers.flat_map_iter(|k| self.between_regions(k)).collect();
         open.extend(self.within_regions());
@@ -255,31 +250,29 @@ impl Joints<'_> {
             return false;
         }
         let touch = self.parts.touch(p, q);
-        if touch && !self.is_partly_empty(cells) {
+        // A gap takes half of the face at least.
+        if touch && self.empty_volume(cells) <= narrowest(regions) / 2.0 {
             return false;
         }
-        match self.between(cells, regions) {
-            Some(between) => between == Between::Gap,
-            // The face lies on one side of the gap. Where the same tissue holds both parts it may lie in the tissue.
-            None => !touch && !self.parts.have_a_neighbour_in_common(p, q),
-        }
+        // Where no line shows both, the face lies on one side of the gap; it may lie in tissue that holds both parts.
+        let none = || !touch && !self.parts.have_a_neighbour_in_common(p, q);
+        self.most_find_a_gap(cells, regions).unwrap_or_else(none)
     }
 
-    /// Whether a gap takes a part of two cells.
-    fn is_partly_empty(&self, cells: [usize; 2]) -> bool {
+    /// The empty volume of two cells, in cells.
+    fn empty_volume(&self, cells: [usize; 2]) -> f64 {
         let filled = |cell: usize| match self.walls.shares_of(cell) {
             [] => 1.0,
             shares => shares.iter().map(Share::filled).sum(),
         };
-        let empty = 2.0 - cells.map(filled).iter().sum::<f64>();
-        empty > EMPTY_MIN
+        2.0 - cells.map(filled).iter().sum::<f64>()
     }
 
-    /// The space between two cells on most lines across their face; `None` where no line shows both regions.
-    fn between(&self, [low, high]: [usize; 2], regions: [usize; 2]) -> Option<Between> {
+    /// Whether most lines across the face of two cells find a gap; `None` where no line shows both regions.
+    fn most_find_a_gap(&self, [low, high]: [usize; 2], regions: [usize; 2]) -> Option<bool> {
         let (from, to) = (cell_at(self.grid, low), cell_at(self.grid, high));
         let axis = (0..3).find(|a| from[*a] != to[*a])?;
-        let (mut contacts, mut gaps) = (0, 0);
+        let (mut held, mut gaps) = (0, 0);
         for line in 0..LINES * LINES {
             let aside = [line % LINES, line / LINES].map(|i| (i as f64 + 0.5) / LINES as f64);
             let mut at = Vec3::from(from.map(|i| i as f64));
@@ -291,19 +284,16 @@ impl Joints<'_> {
                 self.query
                     .region_at(self.grid.origin + point * self.grid.spacing)
             });
-            match line_shows(seen, regions) {
-                Some(Between::Tissue) => return Some(Between::Tissue),
-                Some(Between::Gap) => gaps += 1,
-                Some(Between::Contact) => contacts += 1,
-                None => {}
+            let Some(empty) = empty_between(seen, regions) else {
+                continue;
+            };
+            if 2.0 * empty as f64 / PROBES as f64 >= narrowest(regions) {
+                gaps += 1;
+            } else {
+                held += 1;
             }
         }
-        let most = if gaps > contacts {
-            Between::Gap
-        } else {
-            Between::Contact
-        };
-        (gaps + contacts > 0).then_some(most)
+        (gaps + held > 0).then_some(gaps > held)
     }
 
     /// The part that a cell belongs to. A cell of a label that does not reach into it belongs to the part of most

@@ -27,9 +27,14 @@ pub(super) struct Lattice {
 }
 
 impl Lattice {
-    /// For each opened face whether it must stay closed: the outer surface or that of a region touches itself along an
-    /// edge of the face, where more than two faces meet, or nothing opens.
-    pub(super) fn touching(&self) -> Vec<bool> {
+    /// For each opened face whether it may stay open: its cells no longer share all of its nodes, and, once this holds for
+    /// all faces, neither the outer surface nor that of a region touches itself along an edge of the face, where more than
+    /// two faces would meet.
+    pub(super) fn may_stay_open(&self) -> Vec<bool> {
+        let opens: Vec<bool> = self.opened.iter().map(|face| !self.is_slit(face)).collect();
+        if opens.contains(&false) {
+            return opens;
+        }
         let sides = |&(cells, face): &([u32; 2], usize)| {
             let sides = cells.into_iter().zip([face, face ^ 1]);
             sides.map(|(cell, face)| edges_of(&self.cells[cell as usize], face))
@@ -66,7 +71,7 @@ impl Lattice {
         };
         let opened = self.opened.iter();
         opened
-            .map(|face| sides(face).flatten().any(touches) || self.is_slit(face))
+            .map(|face| !sides(face).flatten().any(touches))
             .collect()
     }
 

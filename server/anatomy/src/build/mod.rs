@@ -6,10 +6,9 @@
 //!    manifold ([`mending`]). Faces in gaps that no cell is empty for are opened ([`gaps`]).
 //! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
 //!    nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
-//! 4. Cells are untangled until all meet the quality floors ([`untangle`]), faces are fitted to their interfaces, and
-//!    regions regain the volume that straight faces have cut off ([`volume_correction`]). Triangles of interfaces that
-//!    pass through each other are parted ([`parting`]). Where they cross at opened faces, these are closed, and steps 3 and
-//!    4 repeated ([`closing`]).
+//! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and triangles of interfaces that pass through
+//!    each other are parted ([`parting`]). Faces are fitted to their interfaces, and regions regain the volume that
+//!    straight faces have cut off ([`volume_correction`]).
 //! 5. The model is compared with its input ([`compare`]), and parts thinner than the spacing are listed with
 //!    their position ([`interface_samples`], [`thin`]).
 //!
@@ -19,7 +18,6 @@
 mod bar;
 mod bridge;
 mod bvh;
-mod closing;
 mod compare;
 mod component_loss;
 mod constraint;
@@ -132,13 +130,11 @@ pub fn build(
         query: &query,
         fused: &input.scene.fuse,
     };
-    let placing = Input {
-        surfaces: &surfaces,
-        interfaces: &interfaces,
-        volumes: &input_volumes,
-    };
-    let (lattice, faces, placed) = place(&joints, &placing, progress)
-        .ok_or_else(|| input_check::too_coarse(&surfaces, spacing))?;
+    let numbered = joints.number();
+    let mut lattice = numbered.ok_or_else(|| input_check::too_coarse(&surfaces, spacing))?;
+    let faces = faces::faces(&lattice.cells, &lattice.nodes);
+    let placing = (&surfaces[..], &interfaces, &input_volumes[..]);
+    let placed = position_nodes(&grid, &mut lattice, placing, &faces, progress);
     input_check::mending(&mending, &lattice, grid.cell_count(), &mut warnings);
     drop((labels, walls, parts_of, query));
 
@@ -216,33 +212,6 @@ fn spacing_of(scene: &Scene, surfaces: &[&Surface]) -> (f64, Option<SpacingRepor
     }
 }
 
-/// Numbers the lattice and places its nodes, with as many gaps open as no triangles cross at; `None` without a cell.
-fn place(
-    joints: &gaps::Joints<'_>,
-    input: &Input<'_>,
-    progress: Progress<'_>,
-) -> Option<(lattice::Lattice, Vec<faces::Face>, Placed)> {
-    let mut open = joints.open_faces();
-    let mut lattice = joints.number(&mut open);
-    if lattice.cells.is_empty() {
-        return None;
-    }
-    let mut faces = faces::faces(&lattice.cells, &lattice.nodes);
-    let mut placed = position_nodes(joints.grid, &mut lattice, input, &faces, progress);
-    loop {
-        let crossed = closing::crossed(&lattice, &faces, &placed.crossing);
-        if crossed.is_empty() {
-            return Some((lattice, faces, placed));
-        }
-        progress("placing nodes again", 0.7);
-        let mut index = 0..;
-        open.retain(|_| index.next().is_some_and(|i| !crossed.contains(&i)));
-        lattice = joints.number(&mut open);
-        faces = faces::faces(&lattice.cells, &lattice.nodes);
-        placed = position_nodes(joints.grid, &mut lattice, input, &faces, &mut |_, _| {});
-    }
-}
-
 /// A label volume is authoritative for the regions that it alone describes.
 fn prefer_voxels(volumes: &mut [f64], input: &SceneInput) {
     for (volume, voxels) in volumes.iter_mut().zip(&input.voxels_m3) {
@@ -282,13 +251,6 @@ fn outer_triangles(faces: &[faces::Face], model: &Model) -> Vec<[u32; 3]> {
     outer.flat_map(|f| f.triangles(&model.nodes)).collect()
 }
 
-/// Input of node placement.
-struct Input<'a> {
-    surfaces: &'a [&'a Surface],
-    interfaces: &'a interfaces::Interfaces,
-    volumes: &'a [f64],
-}
-
 /// Positions of the nodes, and the record of their placement.
 struct Placed {
     positions: Vec<Vec3>,
@@ -303,20 +265,19 @@ struct Placed {
     crossing: Vec<[u32; 2]>,
 }
 
-/// Snaps, relaxes, untangles, fits faces, restores volumes, and parts crossing triangles.
+/// Snaps, relaxes, untangles, parts crossing triangles, fits faces, and restores volumes (m³).
 fn position_nodes(
     grid: &Grid,
     lattice: &mut lattice::Lattice,
-    input: &Input<'_>,
+    (surfaces, interfaces, volumes): (&[&Surface], &interfaces::Interfaces, &[f64]),
     faces: &[faces::Face],
     progress: Progress<'_>,
 ) -> Placed {
-    let interfaces = input.interfaces;
     progress("snapping nodes", 0.3);
     let mut constraints = constraint::constraints(lattice);
     snap::mark_rims(grid, lattice, interfaces, &mut constraints);
     let tied = snap::settle_ties(grid, lattice, interfaces, &mut constraints);
-    let mut positions = snap::snap(grid, lattice, input.surfaces, interfaces, &constraints);
+    let mut positions = snap::snap(grid, lattice, surfaces, interfaces, &constraints);
     progress("relaxing", 0.4);
     relax::relax(lattice, interfaces, &constraints, &mut positions);
     // The axis neighbours are not used after this point.
@@ -326,10 +287,15 @@ fn position_nodes(
         untangle::Untangler::new(lattice, interfaces, &constraints, grid.spacing, grid.origin);
     let mut let_go = untangler.untangle(&mut positions);
     progress("restoring volumes", 0.7);
-    volume_correction::restore_volumes(&untangler, faces, input.volumes, &mut positions);
+    let mut moved = Vec::new();
+    if !lattice.opened.is_empty() {
+        // Much has to be parted at gaps. The volumes that this takes can still be restored.
+        moved = parting::part_crossings(&untangler, faces, &mut positions).moved;
+    }
+    volume_correction::restore_volumes(&untangler, faces, volumes, &mut positions);
     let parted = parting::part_crossings(&untangler, faces, &mut positions);
-    let off = |node: &u32| !constraints[*node as usize].free();
-    let_go.extend(parted.moved.into_iter().filter(off));
+    moved.extend(parted.moved);
+    let_go.extend((moved.into_iter()).filter(|node| !constraints[*node as usize].free()));
     let_go.sort_unstable();
     let_go.dedup();
     let around = untangler.into_around();

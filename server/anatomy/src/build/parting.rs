@@ -4,9 +4,8 @@
 //! through each other, and no floor holds for an empty cell between two faces. The corners of such triangles first move
 //! to the plane that separates the two with the shortest way ([`separations`]), while the floors hold.
 //! Where floors or neighbours prevent that, the nodes of the pair and more and more around them move half way to their
-//! lattice points, and the cells around are untangled again: in the limit all cells there are cubes. If triangles
-//! still cross, these steps are taken back. Copies of a node beside a gap have one lattice point, so these take
-//! part in the first way only.
+//! lattice points, and the cells around are untangled again: in the limit all cells there are cubes, apart at gaps. If
+//! triangles still cross, these steps are taken back.
 
 use std::collections::BTreeSet;
 
@@ -52,11 +51,6 @@ pub(super) fn part_crossings(
     let mut separated = Vec::new();
     for round in 0..SEPARATIONS + HALVINGS {
         if let Some(halving) = round.checked_sub(SEPARATIONS) {
-            let is_gap = |pair: &[u32; 2]| pair.iter().all(|t| faces[*t as usize / 2].is_opened());
-            // Opened faces that cross will be closed, and all nodes placed again.
-            if crossing.iter().any(is_gap) {
-                break;
-            }
             if halving == 0 {
                 separated = positions.to_vec();
             }
@@ -64,7 +58,6 @@ pub(super) fn part_crossings(
             for _ in 0..halving / HALVINGS_PER_RING {
                 nodes = untangler.with_neighbours(&nodes);
             }
-            nodes.retain(|node| !untangler.has_copy(*node));
             untangler.move_half_way(&nodes, positions);
         } else {
             let triangle = |t: u32| faces[t as usize / 2].triangles(positions)[t as usize % 2];

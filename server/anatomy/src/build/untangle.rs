@@ -39,6 +39,8 @@ pub(super) const FLOOR: (f64, f64) = (CORNER_FLOOR * 1.001, SPRING_FLOOR * 1.001
 const STAGES: [(usize, f64); 3] = [(10, 0.1), (12, 0.01), (16, 0.001)];
 /// Part of a gap that each of its two sides may take up for the volumes of its regions.
 const GAP_PART: f64 = 0.25;
+/// Distance in spacings between a lattice point and the places of its copies, along each axis that a copy faces.
+const GAP_SIDE: f64 = 0.125;
 /// Weight of the distance to the current position (ε above).
 const INERTIA: f64 = 0.02;
 /// Newton steps per visit.
@@ -132,10 +134,22 @@ impl<'a> Untangler<'a> {
         self.nodes_of(&self.cells_at(nodes))
     }
 
-    /// The lattice point of a node.
-    pub(super) fn lattice_point(&self, node: u32) -> Vec3 {
-        let at = self.lattice.nodes[node as usize];
-        self.origin + Vec3::from(at.map(f64::from)) * self.spacing
+    /// The lattice point of a node, for a copy a place on its own side of the gap.
+    fn lattice_point(&self, node: u32) -> Vec3 {
+        let mut at = Vec3::from(self.lattice.nodes[node as usize].map(f64::from));
+        if self.copies(node).next().is_some() {
+            let facing = self.constraints[node as usize].facing;
+            at -= Vec3::from(facing.map(|f| f64::from(f.signum()))) * GAP_SIDE;
+        }
+        self.origin + at * self.spacing
+    }
+
+    /// The other copies of a node, on other sides of a gap. Copies are numbered one after the other.
+    fn copies(&self, node: u32) -> impl Iterator<Item = u32> {
+        let nodes = &self.lattice.nodes;
+        let same = move |n: &u32| nodes.get(*n as usize) == Some(&nodes[node as usize]);
+        let below = (0..node).rev().take_while(same);
+        below.chain((node + 1..).take_while(same))
     }
 
     /// Lattice spacing in m.
@@ -151,16 +165,6 @@ impl<'a> Untangler<'a> {
     /// The interfaces of each node.
     pub(super) fn constraint(&self, node: u32) -> Constraint {
         self.constraints[node as usize]
-    }
-
-    /// Whether a node has a copy at its lattice point, on the other side of a gap.
-    pub(super) fn has_copy(&self, node: u32) -> bool {
-        let node = node as usize;
-        let nodes = &self.lattice.nodes;
-        // Copies are numbered one after the other.
-        let beside = [node.checked_sub(1), Some(node + 1)];
-        let mut beside = beside.into_iter().flatten().filter_map(|n| nodes.get(n));
-        beside.any(|at| *at == nodes[node])
     }
 
     /// Moves each node by the first of [`TRIES`] of its step that makes no cell around it worse than the limits and keeps a
@@ -310,14 +314,16 @@ impl<'a> Untangler<'a> {
         self.let_go(bad, positions);
     }
 
-    /// Moves some nodes half way to their lattice points, and visits those of cells that fail; returns the cells that
-    /// may fail afterwards.
+    /// Moves some nodes and their copies half way to their lattice points, and visits those of cells that fail; returns the
+    /// cells that may fail afterwards.
     fn halve(&self, nodes: &[u32], positions: &mut [Vec3]) -> Vec<u32> {
-        for &node in nodes {
+        let copies = nodes.iter().flat_map(|node| self.copies(*node));
+        let nodes = sorted(copies.chain(nodes.iter().copied()));
+        for &node in &nodes {
             let at = positions[node as usize];
             positions[node as usize] = (at + self.lattice_point(node)) / 2.0;
         }
-        let mut touched = self.failing(self.cells_at(nodes).into_iter(), positions, GOOD);
+        let mut touched = self.failing(self.cells_at(&nodes).into_iter(), positions, GOOD);
         for _ in 0..SWEEPS_AFTER_HALVING {
             touched = self.sweep(&touched, 0.0, positions);
         }
