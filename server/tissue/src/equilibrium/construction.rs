@@ -81,7 +81,7 @@ impl Construction {
             .map(|e| parts_over_bricks(topology, bricks_of(e)))
             .collect();
         for (l, level) in hierarchy.levels.iter().enumerate() {
-            kinds.add_level(&level.matrices, &level.matrix, parts);
+            kinds.add_level(&level.matrices, &level.matrix, &parts);
             parts = Vec::new();
             let mut above = Vec::new();
             if let Some(next) = hierarchy.levels.get(l + 1) {
