@@ -6,7 +6,7 @@ use super::brick::{Brick, CORNER};
 use super::coarsen::place;
 use super::hierarchy::{Hierarchy, Table, parts_over_bricks, parts_over_children, place_of};
 use super::kinds::Kinds;
-use super::quad::trim;
+use super::quad::{ROOM, move_to_room, trim};
 use crate::Topology;
 use crate::cell::NO_CELL;
 
@@ -36,7 +36,7 @@ impl Places {
             self.sorted.remove(&(at, element));
         }
         trim(&mut self.of, count);
-        self.of.shrink_to(count + count / 4);
+        move_to_room(&mut self.of, count + count / ROOM);
     }
 
     /// The elements at a place, ascending.
