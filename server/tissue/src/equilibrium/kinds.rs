@@ -1,7 +1,6 @@
 //! Forms and matrices that equal bricks and equal elements share.
 
 use std::collections::BTreeSet;
-use std::hash::BuildHasherDefault;
 use std::sync::Arc;
 
 use pulp::{Arch, Simd, WithSimd};
@@ -12,7 +11,7 @@ use super::brick::{Brick, DIRECTIONS, Form, LOCALS, SPAN};
 use super::element::Sum;
 use super::lanes::LANES;
 use super::matrix::Matrix;
-use super::quad::{ROOM, trim};
+use super::quad::{reserve, trim};
 use crate::number_map::NumberMap;
 
 /// A hash of a form or of the parts of an element; equal keys mean equal things. It has no memory of its own, because keys
@@ -32,13 +31,14 @@ struct Numbers {
 impl Numbers {
     /// Numbers below `count` that are in use, each as often as listed.
     fn used(count: usize, list: impl Iterator<Item = (u32, Key)>) -> Self {
-        let room = count + count / ROOM;
         let mut numbers = Self {
-            known: NumberMap::with_capacity_and_hasher(room, BuildHasherDefault::default()),
             keys: vec![None; count],
             uses: vec![0; count],
             ..Self::default()
         };
+        reserve(&mut numbers.keys);
+        reserve(&mut numbers.uses);
+        numbers.known.reserve(numbers.keys.capacity());
         for (number, key) in list {
             let n = number as usize;
             numbers.uses[n] += 1;
@@ -157,9 +157,11 @@ impl Kinds {
     pub(super) fn of_bricks(forms: &[Arc<Form>], bricks: &[Brick]) -> Self {
         let keys: Vec<Key> = forms.iter().map(|form| form.key()).collect();
         let uses = bricks.iter().map(|b| (b.form, keys[b.form as usize]));
+        let mut forms = forms.to_vec();
+        reserve(&mut forms);
         Self {
-            forms: forms.to_vec(),
-            form_numbers: Numbers::used(forms.len(), uses),
+            forms,
+            form_numbers: Numbers::used(keys.len(), uses),
             ..Self::default()
         }
     }
@@ -167,10 +169,10 @@ impl Kinds {
     /// Adds the next level, whose elements have these matrices and parts.
     pub(super) fn add_level(&mut self, matrices: &[Matrix], matrix: &[u32], parts: &[Parts]) {
         let uses = matrix.iter().copied().zip(parts.iter().map(key_of));
-        self.levels.push(LevelKinds {
-            matrices: matrices.to_vec(),
-            numbers: Numbers::used(matrices.len(), uses),
-        });
+        let numbers = Numbers::used(matrices.len(), uses);
+        let mut matrices = matrices.to_vec();
+        reserve(&mut matrices);
+        self.levels.push(LevelKinds { matrices, numbers });
     }
 
     /// Asserts equal numbers of forms and matrices.
