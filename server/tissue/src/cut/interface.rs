@@ -69,7 +69,7 @@ impl Interfaces {
         let cells = cells_around(topology, node, |face| {
             model.cells[face.cell() as usize].neighbours[face.face()]
         });
-        let faces = cells.iter().flat_map(faces_of);
+        let faces = cells.into_iter().flat_map(faces_of);
         let faces: Vec<(Pair, [u32; 4])> = faces
             .filter_map(|face| {
                 let corners =
@@ -87,7 +87,7 @@ impl Interfaces {
         let mut surfaces: Vec<_> = pairs.into_iter().map(of_pair).collect();
         if topology.is_at_wall(node) {
             let cells = cells_around(topology, node, |face| topology.across(face));
-            let faces = cells.iter().flat_map(faces_of);
+            let faces = cells.into_iter().flat_map(faces_of);
             let opened = faces.filter(|&f| topology.is_opened(f));
             let corners = opened.map(|f| nodes_of(topology, f).map(|n| topology.rest(n)));
             surfaces.push(corners.map(Quadrilateral::new).collect());
@@ -134,7 +134,7 @@ fn cells_around(topology: &Topology, node: u32, behind: impl Fn(FaceId) -> u32) 
     for _ in 0..RINGS {
         let until = cells.len();
         for cell in from..until {
-            let more = faces_of(&cells[cell]).map(&behind);
+            let more = faces_of(cells[cell]).map(&behind);
             cells.extend(more.filter(|&c| c != NO_CELL && known.insert(c)));
         }
         from = until;
@@ -143,8 +143,7 @@ fn cells_around(topology: &Topology, node: u32, behind: impl Fn(FaceId) -> u32) 
     cells
 }
 
-fn faces_of(cell: &u32) -> impl Iterator<Item = FaceId> + use<> {
-    let cell = *cell;
+fn faces_of(cell: u32) -> impl Iterator<Item = FaceId> {
     (0..6).map(move |face| FaceId::new(cell, face))
 }
 
