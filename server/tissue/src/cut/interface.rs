@@ -1,7 +1,8 @@
 //! The surfaces around a node that it may not leave: interfaces and the outer surface as built, and walls of earlier cuts
 //! as they stand.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
+use std::hash::BuildHasherDefault;
 
 use super::ribbon::ROUNDING;
 use super::sheet::nodes_of;
@@ -13,6 +14,8 @@ use crate::{FaceId, RegionId, Topology, Vec3};
 /// Rounds of projections onto several surfaces (alternating projections), and rings of cells whose faces count.
 const ROUNDS: usize = 4;
 const RINGS: usize = 3;
+/// Cells so near a node in a lattice.
+const CELLS: usize = 160;
 
 /// Faces of each surface near a node.
 #[derive(Debug, Clone, Default)]
@@ -63,23 +66,28 @@ impl Interfaces {
         let model = &topology.model;
         let built = topology.origin(node);
         // Cells around the node as built: those around any of its copies, found through neighbours.
-        let faces = faces_around(topology, node, |face| {
+        let cells = cells_around(topology, node, |face| {
             model.cells[face.cell() as usize].neighbours[face.face()]
         });
-        let mut found: BTreeMap<Pair, (bool, Vec<Quadrilateral>)> = BTreeMap::new();
-        for face in faces {
-            if let Some(pair) = pair_at(topology, face) {
+        let faces = cells.into_iter().flat_map(faces_of);
+        let faces: Vec<(Pair, [u32; 4])> = faces
+            .filter_map(|face| {
                 let corners =
                     FACES[face.face()].map(|i| model.cells[face.cell() as usize].corners[i]);
-                let entry = found.entry(pair).or_default();
-                entry.0 |= corners.contains(&built);
-                let corners = corners.map(|n| model.nodes[n as usize]);
-                entry.1.push(Quadrilateral::new(corners));
-            }
-        }
-        let mut surfaces: Vec<_> = found.into_values().filter(|e| e.0).map(|e| e.1).collect();
+                Some((pair_at(topology, face)?, corners))
+            })
+            .collect();
+        let own = faces.iter().filter(|(_, corners)| corners.contains(&built));
+        let pairs: BTreeSet<Pair> = own.map(|face| face.0).collect();
+        let of_pair = |pair| {
+            let faces = faces.iter().filter(move |face| face.0 == pair);
+            let corners = faces.map(|face| face.1.map(|n| model.nodes[n as usize]));
+            corners.map(Quadrilateral::new).collect()
+        };
+        let mut surfaces: Vec<_> = pairs.into_iter().map(of_pair).collect();
         if topology.is_at_wall(node) {
-            let faces = faces_around(topology, node, |face| topology.across(face)).into_iter();
+            let cells = cells_around(topology, node, |face| topology.across(face));
+            let faces = cells.into_iter().flat_map(faces_of);
             let opened = faces.filter(|&f| topology.is_opened(f));
             let corners = opened.map(|f| nodes_of(topology, f).map(|n| topology.rest(n)));
             surfaces.push(corners.map(Quadrilateral::new).collect());
@@ -115,21 +123,28 @@ impl Interfaces {
     }
 }
 
-/// All faces of the cells around a node as far as [`RINGS`] steps to the cells behind faces.
-fn faces_around(topology: &Topology, node: u32, behind: impl Fn(FaceId) -> u32) -> Vec<FaceId> {
+/// The cells around a node and as far as [`RINGS`] steps to the cells behind faces, ascending.
+fn cells_around(topology: &Topology, node: u32, behind: impl Fn(FaceId) -> u32) -> Vec<u32> {
     let own = topology.node_cells[node as usize].into_iter();
-    let mut cells: Vec<u32> = own.filter(|&c| c != NO_CELL).collect();
-    let mut known: NumberSet<u32> = cells.iter().copied().collect();
-    let faces = |&c: &u32| (0..6).map(move |f| FaceId::new(c, f));
+    let mut cells = Vec::with_capacity(CELLS);
+    cells.extend(own.filter(|&c| c != NO_CELL));
+    let mut known = NumberSet::with_capacity_and_hasher(CELLS, BuildHasherDefault::default());
+    known.extend(cells.iter().copied());
     let mut from = 0;
     for _ in 0..RINGS {
-        let last = std::mem::replace(&mut from, cells.len());
-        let more: Vec<u32> = cells[last..].iter().flat_map(faces).map(&behind).collect();
-        let is_new = |c: &u32| *c != NO_CELL && known.insert(*c);
-        cells.extend(more.into_iter().filter(is_new));
+        let until = cells.len();
+        for cell in from..until {
+            let more = faces_of(cells[cell]).map(&behind);
+            cells.extend(more.filter(|&c| c != NO_CELL && known.insert(c)));
+        }
+        from = until;
     }
     cells.sort_unstable();
-    cells.iter().flat_map(faces).collect()
+    cells
+}
+
+fn faces_of(cell: u32) -> impl Iterator<Item = FaceId> {
+    (0..6).map(move |face| FaceId::new(cell, face))
 }
 
 /// The point of faces nearest to `p`, by the first triangle that has it.

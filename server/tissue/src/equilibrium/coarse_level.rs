@@ -11,7 +11,7 @@
 
 use super::hierarchy::{Hierarchy, Level};
 use super::matrix::{Columns, Corners};
-use super::quad::{Quad, ZERO, laid_out, plus, trim};
+use super::quad::{Quad, ZERO, laid_out, move_to_room, plus, trim};
 
 /// Stiffness of an element including contacts and held nodes.
 pub(super) struct ContactStiffness {
@@ -54,7 +54,7 @@ impl List {
         if len < self.member.len() {
             self.items.retain(|&item| (item as usize) < len);
             let items = self.items.len();
-            self.items.shrink_to(items.max(len));
+            move_to_room(&mut self.items, items.max(len));
             trim(&mut self.member, len);
         }
     }

@@ -113,14 +113,14 @@ impl Multigrid {
         let grid = &mut self.grids[0];
         grid.add_stiffness(level, element, |k| {
             for (p, q) in (0..64).map(|i| (i / 8, i % 8)) {
-                let block = Matrix3::from_fn(|a, b| own.k.get(at(p, a), lane(q, b)));
+                let block = Matrix3::from_fn(|a, b| own.get(at(p, a), lane(q, b)));
                 let more = c * block * c - block;
                 for (a, b) in (0..9).map(|i| (i / 3, i % 3)) {
                     k.0[at(p, a)][lane(q, b)] += more[(a, b)];
                 }
             }
         });
-        for (&point, bound) in corners.iter().zip(&own.bound) {
+        for (&point, bound) in corners.iter().zip(own.bound()) {
             let block = full(bound);
             let m = c * block * c;
             let more = [m.m11, m.m22, m.m33, m.m12, m.m13, m.m23];
@@ -176,7 +176,7 @@ mod tests {
                 let place = grid.stiffness_of[element as usize] as usize;
                 let product = match grid.stiffened_elements.get(place) {
                     Some(stiffened) => stiffened.k.multiply(Scalar::new(), corners, &x),
-                    None => own.k.multiply(Scalar::new(), corners, &x),
+                    None => own.multiply(Scalar::new(), corners, &x),
                 };
                 for (c, &point) in corners.iter().enumerate() {
                     let force = &mut forces[point as usize];

@@ -6,7 +6,7 @@ use super::brick::{Brick, CORNER};
 use super::coarsen::place;
 use super::hierarchy::{Hierarchy, Table, parts_over_bricks, parts_over_children, place_of};
 use super::kinds::Kinds;
-use super::quad::trim;
+use super::quad::{ROOM, move_to_room, reserve, trim};
 use crate::Topology;
 use crate::cell::NO_CELL;
 
@@ -19,7 +19,8 @@ pub(super) struct Places {
 }
 
 impl Places {
-    fn new(of: Vec<[i32; 3]>) -> Self {
+    fn new(mut of: Vec<[i32; 3]>) -> Self {
+        reserve(&mut of);
         let sorted = of.iter().copied().zip(0..).collect();
         Self { of, sorted }
     }
@@ -36,7 +37,7 @@ impl Places {
             self.sorted.remove(&(at, element));
         }
         trim(&mut self.of, count);
-        self.of.shrink_to(count + count / 4);
+        move_to_room(&mut self.of, count + count / ROOM);
     }
 
     /// The elements at a place, ascending.
@@ -81,7 +82,7 @@ impl Construction {
             .map(|e| parts_over_bricks(topology, bricks_of(e)))
             .collect();
         for (l, level) in hierarchy.levels.iter().enumerate() {
-            kinds.add_level(&level.matrices, &level.matrix, parts);
+            kinds.add_level(&level.matrices, &level.matrix, &parts);
             parts = Vec::new();
             let mut above = Vec::new();
             if let Some(next) = hierarchy.levels.get(l + 1) {
@@ -99,9 +100,11 @@ impl Construction {
         for (e, cell) in pairs.clone() {
             element_of[cell as usize] = e;
         }
+        let mut cells = Table::new(cells.len(), pairs);
+        cells.reserve();
         Self {
             kinds,
-            cells: Table::new(cells.len(), pairs),
+            cells,
             element_of,
             places,
         }

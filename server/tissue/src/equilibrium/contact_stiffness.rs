@@ -70,7 +70,7 @@ impl Multigrid {
                     });
                 }
                 let (_, own) = level.element(stiffened.element);
-                own.k.add_to(&mut stiffened.k);
+                own.add_to(&mut stiffened.k);
             }
             let Some(next) = coarser.first_mut() else {
                 break;

@@ -7,9 +7,9 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::coarse_level::{CoarseLevel, Deferred, apply, follow_coarser};
 use super::effective_stiffness::Effective;
-use super::element::Matrix;
 use super::hierarchy::{Hierarchy, Level};
 use super::matrix::Corners;
+use super::matrix::Matrix;
 use super::prolongation::Prolongation;
 use super::quad::{Quad, ZERO, plus};
 
@@ -440,7 +440,7 @@ impl Level {
         } else {
             Effective::MATRIX
         };
-        answer.force(simd, &self.element(element).1.k, by)
+        answer.force(simd, self.element(element).1, by)
     }
 
     /// Points and matrix of an element.
@@ -459,7 +459,7 @@ fn subtract<S: Simd>(simd: S, level: &Level, grid: &mut CoarseLevel) {
         let stiffened = grid.stiffness_of[element as usize];
         let y = match grid.stiffened_elements.get(stiffened as usize) {
             Some(stiffened) => stiffened.k.multiply(simd, points, &grid.d),
-            None => m.k.multiply(simd, points, &grid.d),
+            None => m.multiply(simd, points, &grid.d),
         };
         for (c, &point) in points.iter().enumerate() {
             let r = &mut grid.r[point as usize];

@@ -23,7 +23,7 @@ use super::cut_preparer::all_own_stiffness;
 use super::element::WEIGHTS;
 use super::fine_level::FineLevel;
 use super::hierarchy::{Hierarchy, Level, LevelPlaces};
-use super::matrix::{Corners, Stiffness};
+use super::matrix::{Corners, Matrix};
 use super::quad::ZERO;
 use super::solver::Solver;
 use super::weight::hanging_nodes;
@@ -61,7 +61,7 @@ impl Effective {
 
     /// Forces in N for these displacements of the corners in m.
     #[inline(always)]
-    pub(super) fn force<S: Simd>(self, simd: S, k: &Stiffness, by: &Corners) -> Corners {
+    pub(super) fn force<S: Simd>(self, simd: S, k: &Matrix, by: &Corners) -> Corners {
         const ALL: [u32; 8] = [0, 1, 2, 3, 4, 5, 6, 7];
         let mut force = if self.turns {
             let strains = without_rotation(by);
@@ -321,7 +321,7 @@ impl Work {
             by = without_rotation(&by);
         }
         let (_, matrix) = level.element(e as u32);
-        let forces = Effective::MATRIX.force(pulp::Scalar::new(), &matrix.k, &by);
+        let forces = Effective::MATRIX.force(pulp::Scalar::new(), matrix, &by);
         for ((v, force), of_matrix) in by.iter().zip(&tested.forces[e]).zip(&forces) {
             for a in 0..3 {
                 self.bricks -= force[a] * f64::from(v[a]);
@@ -426,7 +426,7 @@ mod tests {
                 v[2] += turn[0] * y - turn[1] * x;
             }
             for (e, answer) in level.effective.iter().enumerate() {
-                let k = &level.element(e as u32).1.k;
+                let k = level.element(e as u32).1;
                 let force = |by: &Corners| answer.force(pulp::Scalar::new(), k, by);
                 let forces = force(&by);
                 let work: f32 = forces.iter().flatten().zip(by.as_flattened()).map(|(f, v)| f * v).sum();

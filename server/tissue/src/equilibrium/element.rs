@@ -18,7 +18,7 @@ use pulp::Simd;
 use super::brick::{CORNER, Form, LOCALS, OFFSETS};
 use super::lanes::add_scaled;
 use super::law::{Symmetric, sideways};
-use super::matrix::{Columns, SIZE, Short, Stiffness, at};
+use super::matrix::{Matrix, SIZE, at};
 
 /// σ relative to the floor of `law.rs`.
 const TURNING: f64 = 0.1;
@@ -28,17 +28,6 @@ const TURNING: f64 = 0.1;
 const WEAK: f64 = 0.03;
 /// Power iterations for the largest eigenvalue of a scaled element.
 const POWER: usize = 12;
-
-/// The matrix of an element and its diagonal bound.
-#[derive(Clone)]
-pub(crate) struct Matrix {
-    pub(crate) k: Stiffness,
-    /// Diagonal blocks of the corners times the largest eigenvalue of the block-scaled element: their sum over elements
-    /// bounds the whole matrix from above.
-    pub(crate) bound: [[f32; 6]; 8],
-    /// Whether the element is homogeneous: cubes of one tissue.
-    pub(crate) even: bool,
-}
 
 /// Dense matrix of an element.
 type Dense = [[f64; SIZE]; SIZE];
@@ -209,7 +198,7 @@ impl Sum {
     /// Adds the matrix of a finer element at octant `octant` of this one.
     #[inline(always)]
     pub(crate) fn add_child<S: Simd>(&mut self, simd: S, child: &Matrix, octant: usize) {
-        let mut k = child.k.dense();
+        let mut k = child.dense();
         // The weights are products of weights per axis, so that Pᵀ K takes three passes. K is symmetric.
         restrict(simd, &mut k, octant);
         let mut k = transposed(&k);
@@ -226,21 +215,13 @@ impl Sum {
         self.add_springs();
         self.tie_weak_corners();
         let k = &*self.dense;
-        let short = (!alike).then(|| Short::new(k)).flatten();
-        let stiffness = match short {
-            Some(short) => Stiffness::Short(Box::new(short)),
-            None => Stiffness::Full(Box::new(Columns::new(k))),
-        };
         let blocks: [Symmetric; 8] = std::array::from_fn(|c| {
             let k = |a: usize, b: usize| k[at(c, a)][at(c, b)];
             [k(0, 0), k(1, 1), k(2, 2), k(0, 1), k(0, 2), k(1, 2)]
         });
         let largest = largest(simd, k, &blocks);
-        Matrix {
-            k: stiffness,
-            bound: blocks.map(|b| b.map(|v| (v * largest) as f32)),
-            even: alike,
-        }
+        let bound = blocks.map(|b| b.map(|v| (v * largest) as f32));
+        Matrix::new(k, bound, alike)
     }
 
     /// Ties weakly connected corners to the others, like a soft filling. Rigid translations still make no force.

@@ -13,8 +13,8 @@ use rayon::prelude::*;
 use super::brick::{Brick, Draft, Form, LOCALS};
 use super::coarsen::{Coarse, Joints, Piece, coarsen, octant};
 use super::effective_stiffness::{Effective, EffectiveStiffness};
-use super::element::Matrix;
 use super::kinds::{Kinds, Parts};
+use super::matrix::Matrix;
 use super::prolongation::{FREE, Prolongation};
 use super::quad::reserve;
 use super::smoothing::Smoothing;
@@ -41,7 +41,7 @@ pub(super) struct Level {
     pub(super) corners: Vec<[u32; 8]>,
     /// Matrix of each element.
     pub(super) matrix: Vec<u32>,
-    pub(super) matrices: Vec<Arc<Matrix>>,
+    pub(super) matrices: Vec<Matrix>,
     /// Elements of the finer level in each element; on level 1 bricks.
     pub(super) children: Table,
     /// Element of the next coarser level that each element is part of; empty on the coarsest.
@@ -74,7 +74,7 @@ impl Level {
         let mut bound = [0.0f32; 6];
         for &element in self.around.row(point) {
             let (corners, matrix) = self.element(element);
-            let at = corners.iter().zip(&matrix.bound).filter(|c| *c.0 == point);
+            let at = corners.iter().zip(matrix.bound()).filter(|c| *c.0 == point);
             for (_, own) in at {
                 for (sum, v) in bound.iter_mut().zip(own) {
                     *sum += v;
@@ -235,7 +235,7 @@ impl Hierarchy {
                 })
             });
             let next = next.filter(|n| n.pieces.len() < now.pieces.len());
-            let (matrix, _) = kinds.matrices(l, &parts, self.per_spacing);
+            let (matrix, _) = kinds.matrices(l, parts.iter(), self.per_spacing);
             let matrices = kinds.levels[l].matrices.clone();
             self.levels
                 .push(level_of(&now, next.as_ref(), matrix, matrices, children));
@@ -345,17 +345,23 @@ pub(super) struct Made {
 }
 
 impl Made {
-    /// The bricks of these cells, which are at one place of level 1.
-    pub(super) fn of(topology: &Topology, cells: &[u32]) -> Vec<Self> {
-        let list: Vec<(usize, u32)> = cells
-            .iter()
-            .map(|&c| (octant(place_of(topology, c)), c))
-            .collect();
-        let mut drafts = Vec::new();
-        Draft::of(topology, &list, &mut drafts);
+    /// The bricks of these elements of level 1 with their elements, in order; each element lists its cells. The list is
+    /// allocated by the calling thread (see [`Matrix`]).
+    pub(super) fn of<'a>(
+        topology: &Topology,
+        elements: impl Iterator<Item = (u32, &'a [u32])>,
+    ) -> Vec<(u32, Self)> {
+        let (mut drafts, mut cells) = (Vec::new(), Vec::new());
+        let mut element_of = Vec::new();
+        for (element, list) in elements {
+            cells.clear();
+            cells.extend(list.iter().map(|&c| (octant(place_of(topology, c)), c)));
+            Draft::of(topology, &cells, &mut drafts);
+            element_of.resize(drafts.len(), element);
+        }
         let arch = Arch::new();
-        let finish = |draft: &Draft| arch.dispatch(Finish { draft, topology });
-        drafts.iter().map(finish).collect()
+        let finish = |(&element, draft)| (element, arch.dispatch(Finish { draft, topology }));
+        element_of.par_iter().zip(&drafts).map(finish).collect()
     }
 
     /// The brick with the number of its form.
@@ -376,15 +382,10 @@ fn bricks_of(
 ) -> (Vec<Brick>, Vec<u32>) {
     let (mut bricks, mut element_of) = (Vec::new(), Vec::new());
     for from in (0..elements).step_by(BATCH) {
-        let batch: Vec<_> = (from..elements.min(from + BATCH))
-            .into_par_iter()
-            .map(|e| Made::of(topology, cells.row(e as u32)))
-            .collect();
-        for (e, list) in (from..).zip(batch) {
-            for made in list {
-                bricks.push(made.numbered(kinds));
-                element_of.push(e as u32);
-            }
+        let batch = from as u32..elements.min(from + BATCH) as u32;
+        for (e, made) in Made::of(topology, batch.map(|e| (e, cells.row(e)))) {
+            bricks.push(made.numbered(kinds));
+            element_of.push(e);
         }
     }
     (bricks, element_of)
@@ -394,7 +395,7 @@ fn level_of(
     now: &Coarse,
     next: Option<&Coarse>,
     matrix: Vec<u32>,
-    matrices: Vec<Arc<Matrix>>,
+    matrices: Vec<Matrix>,
     children: Table,
 ) -> Level {
     let pairs = now

@@ -13,12 +13,12 @@ use rayon::prelude::*;
 use super::brick::{Brick, CORNER, Form};
 use super::coarsen::{octant, place};
 use super::construction::{Construction, Places};
-use super::element::Matrix;
 use super::fine_level::own_stiffness;
 use super::hierarchy::{
     Hierarchy, Level, Made, entries_of, joined, parts_over_bricks, parts_over_children, place_of,
 };
 use super::kinds::{Numbered, Parts, set_numbered};
+use super::matrix::Matrix;
 use super::prolongation::{FREE, set};
 use super::quad::Quad;
 use super::recoarsen::{Cells, Changed, Recoarsened, recoarsen};
@@ -73,7 +73,7 @@ pub(crate) struct HierarchyChange {
     /// Changed and new bricks with their elements, sorted by their numbers.
     pub(super) bricks: Vec<(u32, Brick, u32)>,
     /// New forms, sorted by their numbers.
-    pub(super) forms: Numbered<Form>,
+    pub(super) forms: Numbered<Arc<Form>>,
     /// Whether forms are shared.
     pub(super) shared: Vec<(u32, bool)>,
     /// Bricks around nodes.
@@ -245,19 +245,18 @@ impl Hierarchy {
         elements: &[u32],
         change: &mut HierarchyChange,
     ) -> Vec<(u32, Vec<u32>)> {
-        let made: Vec<Vec<Made>> = elements
-            .par_iter()
-            .map(|&element| Made::of(topology, construction.cells.row(element)))
-            .collect();
+        let cells = &construction.cells;
+        let made = Made::of(topology, elements.iter().map(|&e| (e, cells.row(e))));
+        let mut made = made.into_iter().peekable();
         let former = &self.levels[0].children;
         let mut count = self.bricks.len() as u32;
         let mut children = Vec::with_capacity(elements.len());
-        for (&element, made) in elements.iter().zip(made) {
+        for &element in elements {
             let is_old = (element as usize) < former.rows();
             let known = if is_old { former.row(element) } else { &[] };
             let mut known = known.iter();
-            let mut list = Vec::with_capacity(made.len());
-            for made in made {
+            let mut list = Vec::new();
+            while let Some((_, made)) = made.next_if(|m| m.0 == element) {
                 let id = known.next().copied().unwrap_or_else(|| {
                     count += 1;
                     count - 1
@@ -403,8 +402,8 @@ impl Hierarchy {
             new.push((element.id, element.origin, octant(at) as u8));
             construction.places[l].push(at);
         }
-        let list: Vec<Parts> = parts.iter().map(|p| p.1.clone()).collect();
-        let (numbers, matrices) = construction.kinds.matrices(l, &list, self.per_spacing);
+        let list = parts.iter().map(|p| &p.1);
+        let (numbers, matrices) = construction.kinds.matrices(l, list, self.per_spacing);
         let elements = parts.iter().map(|p| p.0);
         for &former in elements
             .clone()

@@ -1,54 +1,49 @@
 //! Forms and matrices that equal bricks and equal elements share.
 
 use std::collections::BTreeSet;
-use std::hash::{BuildHasherDefault, Hash};
 use std::sync::Arc;
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use xxhash_rust::xxh3::xxh3_128;
 
 use super::brick::{Brick, DIRECTIONS, Form, LOCALS, SPAN};
-use super::element::{Matrix, Sum};
+use super::element::Sum;
 use super::lanes::LANES;
-use super::quad::{ROOM, trim};
+use super::matrix::Matrix;
+use super::quad::{reserve, trim};
 use crate::number_map::NumberMap;
+
+/// A hash of a form or of the parts of an element; equal keys mean equal things. It has no memory of its own, because keys
+/// that return with an undo would be new small objects all over the heap.
+type Key = u128;
 
 /// Numbers of things that bricks or elements share, by their keys. A number that nothing uses any more is given to the
 /// next new thing: cuts replace forms all the time.
-#[derive(Clone, Debug, PartialEq)]
-struct Numbers<K: Hash + Eq> {
-    known: NumberMap<K, u32>,
-    keys: Vec<Option<K>>,
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Numbers {
+    known: NumberMap<Key, u32>,
+    keys: Vec<Option<Key>>,
     uses: Vec<u32>,
     unused: BTreeSet<u32>,
 }
 
-impl<K: Hash + Eq> Default for Numbers<K> {
-    fn default() -> Self {
-        Self {
-            known: NumberMap::default(),
-            keys: Vec::new(),
-            uses: Vec::new(),
-            unused: BTreeSet::new(),
-        }
-    }
-}
-
-impl<K: Clone + Hash + Eq> Numbers<K> {
+impl Numbers {
     /// Numbers below `count` that are in use, each as often as listed.
-    fn used(count: usize, list: impl Iterator<Item = (u32, K)>) -> Self {
-        let room = count + count / ROOM;
+    fn used(count: usize, list: impl Iterator<Item = (u32, Key)>) -> Self {
         let mut numbers = Self {
-            known: NumberMap::with_capacity_and_hasher(room, BuildHasherDefault::default()),
             keys: vec![None; count],
             uses: vec![0; count],
             ..Self::default()
         };
+        reserve(&mut numbers.keys);
+        reserve(&mut numbers.uses);
+        numbers.known.reserve(numbers.keys.capacity());
         for (number, key) in list {
             let n = number as usize;
             numbers.uses[n] += 1;
             if numbers.keys[n].is_none() {
-                numbers.keys[n] = Some(key.clone());
+                numbers.keys[n] = Some(key);
                 numbers.known.insert(key, number);
             }
         }
@@ -58,8 +53,8 @@ impl<K: Clone + Hash + Eq> Numbers<K> {
     }
 
     /// The number of one more use of a key, and whether the key is new.
-    fn take(&mut self, key: &K) -> (u32, bool) {
-        if let Some(&number) = self.known.get(key) {
+    fn take(&mut self, key: Key) -> (u32, bool) {
+        if let Some(&number) = self.known.get(&key) {
             self.uses[number as usize] += 1;
             return (number, false);
         }
@@ -68,9 +63,9 @@ impl<K: Clone + Hash + Eq> Numbers<K> {
             self.uses.push(0);
             self.keys.len() as u32 - 1
         });
-        self.keys[number as usize] = Some(key.clone());
+        self.keys[number as usize] = Some(key);
         self.uses[number as usize] = 1;
-        self.known.insert(key.clone(), number);
+        self.known.insert(key, number);
         (number, true)
     }
 
@@ -87,12 +82,12 @@ impl<K: Clone + Hash + Eq> Numbers<K> {
     }
 
     /// Adds a use of a number by a key that had it before.
-    fn take_back(&mut self, number: u32, key: K) {
+    fn take_back(&mut self, number: u32, key: Key) {
         self.unused.remove(&number);
         let n = number as usize;
         self.uses[n] += 1;
         if self.keys[n].is_none() {
-            self.keys[n] = Some(key.clone());
+            self.keys[n] = Some(key);
             self.known.insert(key, number);
         }
     }
@@ -106,13 +101,13 @@ impl<K: Clone + Hash + Eq> Numbers<K> {
 }
 
 /// Things with their numbers.
-pub(super) type Numbered<T> = Vec<(u32, Arc<T>)>;
+pub(super) type Numbered<T> = Vec<(u32, T)>;
 
 /// Sets the thing with a number, which may be the next one.
-pub(super) fn set_numbered<T>(all: &mut Vec<Arc<T>>, number: u32, item: &Arc<T>) {
+pub(super) fn set_numbered<T: Clone>(all: &mut Vec<T>, number: u32, item: &T) {
     match all.get_mut(number as usize) {
-        Some(known) => *known = Arc::clone(item),
-        None => all.push(Arc::clone(item)),
+        Some(known) => known.clone_from(item),
+        None => all.push(item.clone()),
     }
 }
 
@@ -120,17 +115,17 @@ pub(super) fn set_numbered<T>(all: &mut Vec<Arc<T>>, number: u32, item: &Arc<T>)
 #[derive(Clone, Default)]
 pub(super) struct Kinds {
     pub(super) forms: Vec<Arc<Form>>,
-    form_numbers: Numbers<u128>,
+    form_numbers: Numbers,
     /// Forms since the last change, in the order of their numbers' use.
-    new_forms: Numbered<Form>,
+    new_forms: Numbered<Arc<Form>>,
     pub(super) levels: Vec<LevelKinds>,
 }
 
 /// Matrices of one level by their parts.
 #[derive(Clone, Default)]
 pub(super) struct LevelKinds {
-    pub(super) matrices: Vec<Arc<Matrix>>,
-    numbers: Numbers<Parts>,
+    pub(super) matrices: Vec<Matrix>,
+    numbers: Numbers,
 }
 
 impl LevelKinds {
@@ -140,8 +135,8 @@ impl LevelKinds {
     }
 
     /// Adds an element with these parts that had this matrix before.
-    pub(super) fn take_back(&mut self, number: u32, parts: Parts) {
-        self.numbers.take_back(number, parts);
+    pub(super) fn take_back(&mut self, number: u32, parts: &Parts) {
+        self.numbers.take_back(number, key_of(parts));
     }
 
     /// Returns to the first `count` matrices, some of which were others since.
@@ -160,27 +155,24 @@ pub(super) type Parts = Vec<(u32, u32)>;
 impl Kinds {
     /// Kinds of bricks with these forms.
     pub(super) fn of_bricks(forms: &[Arc<Form>], bricks: &[Brick]) -> Self {
-        let keys: Vec<u128> = forms.iter().map(|form| form.key()).collect();
+        let keys: Vec<Key> = forms.iter().map(|form| form.key()).collect();
         let uses = bricks.iter().map(|b| (b.form, keys[b.form as usize]));
+        let mut forms = forms.to_vec();
+        reserve(&mut forms);
         Self {
-            forms: forms.to_vec(),
-            form_numbers: Numbers::used(forms.len(), uses),
+            forms,
+            form_numbers: Numbers::used(keys.len(), uses),
             ..Self::default()
         }
     }
 
     /// Adds the next level, whose elements have these matrices and parts.
-    pub(super) fn add_level(
-        &mut self,
-        matrices: &[Arc<Matrix>],
-        matrix: &[u32],
-        parts: Vec<Parts>,
-    ) {
-        let uses = matrix.iter().copied().zip(parts);
-        self.levels.push(LevelKinds {
-            matrices: matrices.to_vec(),
-            numbers: Numbers::used(matrices.len(), uses),
-        });
+    pub(super) fn add_level(&mut self, matrices: &[Matrix], matrix: &[u32], parts: &[Parts]) {
+        let uses = matrix.iter().copied().zip(parts.iter().map(key_of));
+        let numbers = Numbers::used(matrices.len(), uses);
+        let mut matrices = matrices.to_vec();
+        reserve(&mut matrices);
+        self.levels.push(LevelKinds { matrices, numbers });
     }
 
     /// Asserts equal numbers of forms and matrices.
@@ -193,8 +185,8 @@ impl Kinds {
     }
 
     /// The number of a form with its key, for one more brick.
-    pub(super) fn form(&mut self, form: &Arc<Form>, key: u128) -> u32 {
-        let (number, is_new) = self.form_numbers.take(&key);
+    pub(super) fn form(&mut self, form: &Arc<Form>, key: Key) -> u32 {
+        let (number, is_new) = self.form_numbers.take(key);
         if is_new {
             set_numbered(&mut self.forms, number, form);
             self.new_forms.push((number, Arc::clone(form)));
@@ -214,7 +206,7 @@ impl Kinds {
     }
 
     /// Returns to the first `count` forms, some of which were others since.
-    pub(super) fn restore_forms(&mut self, count: usize, changed: &Numbered<Form>) {
+    pub(super) fn restore_forms(&mut self, count: usize, changed: &Numbered<Arc<Form>>) {
         trim(&mut self.forms, count);
         self.form_numbers.truncate(count);
         for (number, form) in changed {
@@ -223,16 +215,16 @@ impl Kinds {
     }
 
     /// The forms since the last change, sorted by their numbers.
-    pub(super) fn take_new_forms(&mut self) -> Numbered<Form> {
+    pub(super) fn take_new_forms(&mut self) -> Numbered<Arc<Form>> {
         self.new_forms.sort_unstable_by_key(|form| form.0);
         std::mem::take(&mut self.new_forms)
     }
 
     /// Numbers of the matrices of elements of a level, and the new ones; elements with equal parts share one.
-    pub(super) fn matrices(
+    pub(super) fn matrices<'a>(
         &mut self,
         l: usize,
-        parts: &[Parts],
+        parts: impl Iterator<Item = &'a Parts>,
         per_spacing: f32,
     ) -> (Vec<u32>, Numbered<Matrix>) {
         if self.levels.len() == l {
@@ -243,11 +235,11 @@ impl Kinds {
         let LevelKinds { matrices, numbers } = &mut coarser[0];
         let mut new: Vec<(u32, &Parts)> = Vec::new();
         let number = |list| {
-            let (number, is_new) = numbers.take(list);
+            let (number, is_new) = numbers.take(key_of(list));
             new.extend(is_new.then_some((number, list)));
             number
         };
-        let index = parts.iter().map(number).collect();
+        let index = parts.map(number).collect();
         let forms = &self.forms;
         let arch = Arch::new();
         let made: Numbered<Matrix> = new
@@ -259,7 +251,7 @@ impl Kinds {
                     finer,
                     per_spacing,
                 });
-                (number, Arc::new(matrix))
+                (number, matrix)
             })
             .collect();
         // New numbers beyond the known ones ascend.
@@ -268,6 +260,17 @@ impl Kinds {
         }
         (index, made)
     }
+}
+
+/// Key of these parts.
+fn key_of(parts: &Parts) -> Key {
+    parts.iter().fold(0, |key, &(part, how)| {
+        let mut bytes = [0; size_of::<Key>() + 2 * size_of::<u32>()];
+        bytes[..16].copy_from_slice(&key.to_le_bytes());
+        bytes[16..20].copy_from_slice(&part.to_le_bytes());
+        bytes[20..].copy_from_slice(&how.to_le_bytes());
+        xxh3_128(&bytes)
+    })
 }
 
 /// The matrix of an element with these parts.
@@ -294,7 +297,7 @@ impl WithSimd for MatrixOf<'_> {
         let alike = list.iter().all(|part| part.0 == list[0].0)
             && match self.finer {
                 None => forms[list[0].0 as usize].is_regular(self.per_spacing),
-                Some(level) => level.matrices[list[0].0 as usize].even,
+                Some(level) => level.matrices[list[0].0 as usize].even(),
             };
         sum.finish(simd, alike)
     }
@@ -305,7 +308,7 @@ const KEY_BYTES: usize = size_of::<f32>() * (3 * LOCALS + DIRECTIONS * SPAN + 3 
 
 impl Form {
     /// Equal keys mean equal forms.
-    pub(super) fn key(&self) -> u128 {
+    pub(super) fn key(&self) -> Key {
         let arrays = self.rest.iter().map(|axis| &axis[..LOCALS]);
         let arrays = arrays.chain(self.stiffness.iter().map(|row| &row[..]));
         let curve = [
@@ -323,7 +326,7 @@ impl Form {
             }
             left = later;
         }
-        xxhash_rust::xxh3::xxh3_128(&bytes)
+        xxh3_128(&bytes)
     }
 }
 
@@ -333,18 +336,24 @@ mod tests {
 
     #[test]
     fn number_is_given_again_only_after_its_last_use() {
+        let key = |name: char| Key::from(u32::from(name));
         let mut numbers = Numbers::default();
-        assert_eq!(numbers.take(&'a'), (0, true));
-        assert_eq!(numbers.take(&'b'), (1, true));
-        assert_eq!(numbers.take(&'a'), (0, false));
+        assert_eq!(numbers.take(key('a')), (0, true));
+        assert_eq!(numbers.take(key('b')), (1, true));
+        assert_eq!(numbers.take(key('a')), (0, false));
         numbers.release(0);
-        assert_eq!(numbers.take(&'c'), (2, true));
+        assert_eq!(numbers.take(key('c')), (2, true));
         numbers.release(0);
-        assert_eq!(numbers.take(&'d'), (0, true));
-        assert_eq!(numbers.take(&'a'), (3, true));
-        let mut same = Numbers::used(4, [(2, 'c'), (3, 'a'), (3, 'a')].into_iter());
-        assert_eq!(same.take(&'c'), (2, false));
-        assert_eq!(same.take(&'e').0 + same.take(&'f').0, 1);
-        assert_eq!(same.take(&'g'), (4, true));
+        assert_eq!(numbers.take(key('d')), (0, true));
+        assert_eq!(numbers.take(key('a')), (3, true));
+        let mut same = Numbers::used(
+            4,
+            [(2, 'c'), (3, 'a'), (3, 'a')]
+                .map(|(n, k)| (n, key(k)))
+                .into_iter(),
+        );
+        assert_eq!(same.take(key('c')), (2, false));
+        assert_eq!(same.take(key('e')).0 + same.take(key('f')).0, 1);
+        assert_eq!(same.take(key('g')), (4, true));
     }
 }

@@ -1,5 +1,7 @@
 //! Storage and products of the matrices of coarse elements.
 
+use std::sync::Arc;
+
 use pulp::Simd;
 
 use super::lanes::V;
@@ -188,19 +190,66 @@ impl Short {
     }
 }
 
-/// The stiffness of an element.
-#[derive(Clone)]
-pub(crate) enum Stiffness {
-    Full(Box<Columns>),
-    Short(Box<Short>),
+/// Numbers of a matrix with those that its element derives from them.
+pub(crate) struct Bounded<K> {
+    k: K,
+    bound: Bound,
+    even: bool,
 }
 
-impl Stiffness {
+/// Diagonal blocks of the corners times the largest eigenvalue of the block-scaled element: their sum over elements bounds the
+/// whole matrix from above.
+pub(crate) type Bound = [[f32; 6]; 8];
+
+/// Largest piece of memory that glibc keeps for the thread that frees it. The next data of that thread may lie there, so that
+/// the memory of the thread that allocated the piece is never returned.
+const KEPT_BY_THREAD: usize = 1032;
+
+const _: () = assert!(size_of::<Bounded<Short>>() > KEPT_BY_THREAD);
+
+/// The matrix of an element; copies share it. It is one piece of memory: worker threads allocate matrices and the thread that
+/// drops a cut frees them (see [`KEPT_BY_THREAD`]).
+#[derive(Clone)]
+pub(crate) enum Matrix {
+    Full(Arc<Bounded<Columns>>),
+    Short(Arc<Bounded<Short>>),
+}
+
+impl Matrix {
+    /// The matrix of a homogeneous element stays in f32.
+    #[inline(always)]
+    pub(crate) fn new(k: &[[f64; SIZE]; SIZE], bound: Bound, even: bool) -> Self {
+        match (!even).then(|| Short::new(k)).flatten() {
+            Some(k) => Self::Short(Arc::new(Bounded { k, bound, even })),
+            None => Self::Full(Arc::new(Bounded {
+                k: Columns::new(k),
+                bound,
+                even,
+            })),
+        }
+    }
+
+    /// See [`Bound`].
+    pub(crate) fn bound(&self) -> &Bound {
+        match self {
+            Self::Full(m) => &m.bound,
+            Self::Short(m) => &m.bound,
+        }
+    }
+
+    /// Whether the element is homogeneous: cubes of one tissue.
+    pub(crate) fn even(&self) -> bool {
+        match self {
+            Self::Full(m) => m.even,
+            Self::Short(m) => m.even,
+        }
+    }
+
     /// Entry in a column and a stored row.
     pub(crate) fn get(&self, column: usize, row: usize) -> f32 {
         match self {
-            Self::Full(k) => k.0[column][row],
-            Self::Short(k) => k.scale * f32::from(k.columns[column][row]),
+            Self::Full(m) => m.k.0[column][row],
+            Self::Short(m) => m.k.scale * f32::from(m.k.columns[column][row]),
         }
     }
 
@@ -210,8 +259,8 @@ impl Stiffness {
         let mut dense = [[0.0; SIZE]; SIZE];
         for (j, to) in dense.iter_mut().enumerate() {
             let column = match self {
-                Self::Full(k) => k.0[j],
-                Self::Short(k) => k.columns[j].map(|v| k.scale * f32::from(v)),
+                Self::Full(m) => m.k.0[j],
+                Self::Short(m) => m.k.columns[j].map(|v| m.k.scale * f32::from(v)),
             };
             for c in 0..8 {
                 for a in 0..3 {
@@ -226,10 +275,10 @@ impl Stiffness {
     pub(crate) fn add_to(&self, to: &mut Columns) {
         let to = to.0.as_flattened_mut().iter_mut();
         match self {
-            Self::Full(k) => to.zip(k.0.as_flattened()).for_each(|(to, v)| *to += v),
-            Self::Short(k) => to
-                .zip(k.columns.as_flattened())
-                .for_each(|(to, v)| *to += k.scale * f32::from(*v)),
+            Self::Full(m) => to.zip(m.k.0.as_flattened()).for_each(|(to, v)| *to += v),
+            Self::Short(m) => to
+                .zip(m.k.columns.as_flattened())
+                .for_each(|(to, v)| *to += m.k.scale * f32::from(*v)),
         }
     }
 
@@ -237,8 +286,8 @@ impl Stiffness {
     #[inline(always)]
     pub(crate) fn multiply<S: Simd>(&self, simd: S, points: &[u32; 8], of: &[Quad]) -> Rows {
         match self {
-            Self::Full(k) => k.multiply(simd, points, of),
-            Self::Short(k) => k.multiply(simd, points, of),
+            Self::Full(m) => m.k.multiply(simd, points, of),
+            Self::Short(m) => m.k.multiply(simd, points, of),
         }
     }
 }

@@ -50,7 +50,17 @@ pub(crate) fn trim<T>(values: &mut Vec<T>, len: usize) {
     values.truncate(len);
     let usual = values.len() + values.len() / ROOM;
     if values.capacity() > usual + usual / SLACK {
-        values.shrink_to(usual);
+        move_to_room(values, usual);
+    }
+}
+
+/// Moves a vector to memory for this many items if it has more. Memory that is made smaller in place stays where the
+/// vector had grown to, behind all that cuts allocated, and keeps the allocator from returning it.
+pub(crate) fn move_to_room<T>(values: &mut Vec<T>, capacity: usize) {
+    if values.capacity() > capacity {
+        let mut moved = Vec::with_capacity(capacity);
+        moved.append(values);
+        *values = moved;
     }
 }
 

@@ -265,7 +265,7 @@ impl Hierarchy {
                 } else {
                     parts_over_children(&self.levels[l - 1], children)
                 };
-                kinds.levels[l].take_back(matrix, parts);
+                kinds.levels[l].take_back(matrix, &parts);
             }
             construction.places[l].truncate(keeps.elements);
         }

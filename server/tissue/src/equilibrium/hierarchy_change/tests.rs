@@ -56,7 +56,7 @@ fn assert_same(topology: &Topology, a: &Hierarchy, b: &Hierarchy) {
             assert_eq!(x.octant[e as usize], y.octant[f as usize]);
             assert_eq!(x.effective[e as usize], y.effective[f as usize]);
             let (m, n) = (x.element(e).1, y.element(f).1);
-            for (m, n) in m.bound.iter().flatten().zip(n.bound.iter().flatten()) {
+            for (m, n) in m.bound().iter().flatten().zip(n.bound().iter().flatten()) {
                 assert!((m - n).abs() <= 1e-3 * n.abs().max(1.0), "{m} and {n}");
             }
         }
