@@ -4,8 +4,7 @@
 //! through each other, and no floor holds for an empty cell between two faces. The corners of such triangles first move
 //! to the plane that separates the two with the shortest way ([`separations`]), while the floors hold.
 //! Where floors or neighbours prevent that, the nodes of the pair and more and more around them move half way to their
-//! lattice points, and the cells around are untangled again: in the limit all cells there are cubes, apart at gaps. If
-//! triangles still cross, these steps are taken back.
+//! lattice points, and the cells around are untangled again: in the limit all cells there are cubes, apart at gaps.
 
 use std::collections::BTreeSet;
 
@@ -48,12 +47,8 @@ pub(super) fn part_crossings(
     }
     let before = positions.to_vec();
     let mut crossing = found.clone();
-    let mut separated = Vec::new();
     for round in 0..SEPARATIONS + HALVINGS {
         if let Some(halving) = round.checked_sub(SEPARATIONS) {
-            if halving == 0 {
-                separated = positions.to_vec();
-            }
             let mut nodes = corners(faces, &crossing);
             for _ in 0..halving / HALVINGS_PER_RING {
                 nodes = untangler.with_neighbours(&nodes);
@@ -76,10 +71,6 @@ pub(super) fn part_crossings(
             break;
         }
     }
-    if !crossing.is_empty() && !separated.is_empty() {
-        take_back(untangler, corners(faces, &crossing), &separated, positions);
-        crossing = crossing_triangles(faces, positions, spacing);
-    }
     if crossing.len() >= found.len() {
         positions.copy_from_slice(&before);
         crossing = found;
@@ -89,27 +80,6 @@ pub(super) fn part_crossings(
         crossing: (crossing.into_iter())
             .map(|pair| pair.map(|t| t / 2))
             .collect(),
-    }
-}
-
-/// Takes back moves since `before` that are connected with some nodes: half-way steps without success only cost volume.
-fn take_back(
-    untangler: &Untangler<'_>,
-    mut nodes: Vec<u32>,
-    before: &[Vec3],
-    positions: &mut [Vec3],
-) {
-    let moved = moved(before, positions);
-    loop {
-        let mut more = untangler.with_neighbours(&nodes);
-        more.retain(|node| moved.binary_search(node).is_ok() || nodes.binary_search(node).is_ok());
-        if more == nodes {
-            break;
-        }
-        nodes = more;
-    }
-    for node in nodes {
-        positions[node as usize] = before[node as usize];
     }
 }
 
