@@ -108,12 +108,12 @@ fn gap_beside_a_contact_stays_open() {
 }
 
 #[test]
-fn wedge_is_open_from_a_quarter_of_a_spacing_on() {
+fn wedge_is_open_from_an_eighth_of_a_spacing_on() {
     for width in [0.6, 1.0, 2.0] {
         for turn in TURNS {
             let report = built(&[[-HALF, 0.0], [0.0, 0.0], [HALF, width]], turn);
             // A contact within a spacing of that of the input is none that was created; steps of the lattice add another.
-            let narrow = HALF * 0.25 / width;
+            let narrow = HALF * 0.125 / width;
             let most = area(narrow + 1.0);
             assert!(created(&report) < most, "{width}, {turn:?}");
         }
@@ -142,6 +142,73 @@ fn gap_that_ends_at_many_contacts_stays_open() {
             assert_eq!(created(&report), 0.0, "{height}, {turn:?}");
             let kept = |c: &ContactReport| c.removed_mm2 < 0.1 * c.input_mm2;
             assert!(report.contacts.iter().all(kept), "{:?}", report.contacts);
+        }
+    }
+}
+
+/// A body between a plane at a height and waves in both directions above another height, in spacings.
+fn crate_side(plane: f64, waves: f64) -> Surface {
+    const COUNT: u32 = 36;
+    let mut surface = Surface::default();
+    for i in 0..COUNT * COUNT {
+        let [x, y] = [i % COUNT, i / COUNT].map(|k| f64::from(k) * 0.4 - 7.0);
+        let [u, v] = [x, y].map(|x| (x * std::f64::consts::FRAC_PI_3).sin());
+        let heights = [plane, waves + 2.0 * u * v];
+        let ends = heights.map(|z| Vec3::new(x, y, z) * SPACING);
+        surface.vertices.extend(ends);
+    }
+    let at = |x: u32, y: u32, upper: u32| 2 * (y * COUNT + x) + upper;
+    let mut quad = |[a, b, c, d]: [u32; 4]| surface.triangles.extend([[a, b, c], [a, c, d]]);
+    let last = COUNT - 1;
+    for (i, j) in (0..last * last).map(|k| (k % last, k / last)) {
+        let corners = |upper| {
+            [
+                at(i, j, upper),
+                at(i + 1, j, upper),
+                at(i + 1, j + 1, upper),
+                at(i, j + 1, upper),
+            ]
+        };
+        quad(corners(1));
+        let [a, b, c, d] = corners(0);
+        quad([a, d, c, b]);
+    }
+    for i in 0..last {
+        quad([at(i, 0, 0), at(i + 1, 0, 0), at(i + 1, 0, 1), at(i, 0, 1)]);
+        quad([
+            at(i + 1, last, 0),
+            at(i, last, 0),
+            at(i, last, 1),
+            at(i + 1, last, 1),
+        ]);
+        quad([at(0, i + 1, 0), at(0, i, 0), at(0, i, 1), at(0, i + 1, 1)]);
+        quad([
+            at(last, i, 0),
+            at(last, i + 1, 0),
+            at(last, i + 1, 1),
+            at(last, i, 1),
+        ]);
+    }
+    if plane > waves {
+        surface.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+    }
+    surface
+}
+
+#[test]
+fn sides_of_a_rough_narrow_gap_pass_through_each_other_nowhere() {
+    for turn in TURNS {
+        let at = Vec3::new(0.37, 0.53, 0.71) * SPACING;
+        let bodies = [crate_side(-6.0, 0.0), crate_side(6.0, 0.16)];
+        let surfaces = bodies.map(|s| placed(s, turn, at));
+        let input = scene(&format!("{}", SPACING * 1e3), &surfaces).unwrap();
+        let (_, report) = build(&input, &mut |_, _| {}).unwrap();
+        assert!(report.gaps[0].area_mm2 > 500.0, "{turn:?}");
+        assert_eq!(report.surface_faults, [], "{turn:?}");
+        assert_eq!(report.quality.bad_cells, 0, "{turn:?}");
+        for region in &report.regions {
+            let error = region.volume_mm3 / region.input_volume_mm3 - 1.0;
+            assert!(error.abs() < 0.01, "{turn:?}: {region:?}");
         }
     }
 }

@@ -22,7 +22,10 @@ pub(crate) struct Pages<T> {
 
 impl<T> Pages<T> {
     /// Items per page.
-    const PAGE: usize = PAGE_BYTES / size_of::<T>().next_power_of_two();
+    const PAGE: usize = {
+        assert!(size_of::<T>() <= PAGE_BYTES, "an item fits into a page");
+        PAGE_BYTES / size_of::<T>().next_power_of_two()
+    };
 }
 
 impl<T> Default for Pages<T> {

@@ -6,7 +6,7 @@ use palpate_tissue::Vec3;
 use palpate_tissue::cell::{FACES, NO_CELL};
 
 use super::interfaces::Interface;
-use super::lattice::Lattice;
+use super::lattice::{Lattice, outward};
 
 /// Rings of nodes around a gap without an empty cell that face their own side too: the gap is still narrower than a
 /// node's way to its surface.
@@ -94,7 +94,7 @@ impl Constraint {
 
     /// Adds the outward direction of a face.
     fn face(&mut self, face: usize) {
-        self.facing[face / 2] += if face % 2 == 1 { 1 } else { -1 };
+        self.facing[face / 2] += outward(face);
     }
 
     /// The direction in which a node beside a gap faces; zero elsewhere.
@@ -141,13 +141,8 @@ pub(super) fn constraints(lattice: &Lattice) -> Vec<Constraint> {
 /// Marks the nodes of opened faces and those around them with the direction in which they face: that of their opened
 /// faces, if they have some, else that of their outer ones.
 fn mark_gaps(lattice: &Lattice, constraints: &mut [Constraint]) {
-    for &(cells, face) in &lattice.opened {
-        for (cell, face) in cells.into_iter().zip([face, face ^ 1]) {
-            let corners = lattice.cells[cell as usize].corners;
-            for node in FACES[face].map(|c| corners[c]) {
-                constraints[node as usize].face(face);
-            }
-        }
+    for (node, facing) in lattice.facing() {
+        constraints[node as usize].facing = facing;
     }
     let opened = (0..)
         .zip(constraints.iter())

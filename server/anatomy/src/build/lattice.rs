@@ -27,11 +27,12 @@ pub(super) struct Lattice {
 }
 
 impl Lattice {
-    /// For each opened face whether it may stay open: its cells no longer share all of its nodes, and, once this holds for
-    /// all faces, neither the outer surface nor that of a region touches itself along an edge of the face, where more than
-    /// two faces would meet.
+    /// For each opened face whether it may stay open: it opens, and, once this holds for all faces, neither the outer surface
+    /// nor that of a region touches itself along an edge of the face, where more than two faces would meet.
     pub(super) fn may_stay_open(&self) -> Vec<bool> {
-        let opens: Vec<bool> = self.opened.iter().map(|face| !self.is_slit(face)).collect();
+        let facing = self.facing();
+        let opened = self.opened.iter();
+        let opens: Vec<bool> = opened.map(|face| self.opens(face, &facing)).collect();
         if opens.contains(&false) {
             return opens;
         }
@@ -84,10 +85,28 @@ impl Lattice {
         ]
     }
 
-    /// Whether the two cells at an opened face still share all of its nodes, so that nothing is open.
-    fn is_slit(&self, face: &([u32; 2], usize)) -> bool {
-        let [near, far] = self.sides(face);
-        near.iter().all(|node| far.contains(node))
+    /// The sum of the outward directions of the opened faces at each of their nodes.
+    pub(super) fn facing(&self) -> BTreeMap<u32, [i8; 3]> {
+        let mut facing: BTreeMap<u32, [i8; 3]> = BTreeMap::new();
+        for opened in &self.opened {
+            for (nodes, face) in self.sides(opened).into_iter().zip([opened.1, opened.1 ^ 1]) {
+                for node in nodes {
+                    facing.entry(node).or_default()[face / 2] += outward(face);
+                }
+            }
+        }
+        facing
+    }
+
+    /// Whether each side of an opened face has a corner that the other side has not and that faces out of it. Without one
+    /// nothing opens, or both sides would move along the face when they are parted.
+    fn opens(&self, opened: &([u32; 2], usize), facing: &BTreeMap<u32, [i8; 3]>) -> bool {
+        let [near, far] = self.sides(opened);
+        let sides = [(near, far, opened.1), (far, near, opened.1 ^ 1)];
+        sides.into_iter().all(|(own, other, face)| {
+            let mut copied = own.iter().filter(|node| !other.contains(node));
+            copied.any(|node| facing[node][face / 2].signum() == outward(face))
+        })
     }
 
     /// Number of pieces of the model.
@@ -196,6 +215,11 @@ pub(super) fn number(grid: &Grid, labels: &Labels, open: &[usize]) -> Lattice {
         cells,
         opened: opened.collect(),
     }
+}
+
+/// The direction out of a face along its axis.
+pub(super) fn outward(face: usize) -> i8 {
+    if face % 2 == 1 { 1 } else { -1 }
 }
 
 /// The edges of a face as pairs of nodes, the lower number first.

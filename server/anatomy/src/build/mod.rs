@@ -6,9 +6,9 @@
 //!    manifold ([`mending`]). Faces in gaps that no cell is empty for are opened ([`gaps`]).
 //! 3. Nodes between regions are snapped onto the interface along rays in three directions; other interface
 //!    nodes are projected onto it, and all are relaxed ([`snap`], [`relax`]).
-//! 4. Cells are untangled until all meet the quality floors ([`untangle`]), and triangles of interfaces that pass through
-//!    each other are parted ([`parting`]). Faces are fitted to their interfaces, and regions regain the volume that
-//!    straight faces have cut off ([`volume_correction`]).
+//! 4. Cells are untangled until all meet the quality floors ([`untangle`]), faces are fitted to their interfaces, and
+//!    regions regain the volume that straight faces have cut off ([`volume_correction`]). Triangles of interfaces that
+//!    pass through each other are parted ([`parting`]), at gaps also before.
 //! 5. The model is compared with its input ([`compare`]), and parts thinner than the spacing are listed with
 //!    their position ([`interface_samples`], [`thin`]).
 //!
@@ -265,7 +265,7 @@ struct Placed {
     crossing: Vec<[u32; 2]>,
 }
 
-/// Snaps, relaxes, untangles, parts crossing triangles, fits faces, and restores volumes (m³).
+/// Snaps, relaxes, untangles, fits faces, restores volumes (m³), and parts crossing triangles.
 fn position_nodes(
     grid: &Grid,
     lattice: &mut lattice::Lattice,

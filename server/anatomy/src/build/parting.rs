@@ -4,7 +4,8 @@
 //! through each other, and no floor holds for an empty cell between two faces. The corners of such triangles first move
 //! to the plane that separates the two with the shortest way ([`separations`]), while the floors hold.
 //! Where floors or neighbours prevent that, the nodes of the pair and more and more around them move half way to their
-//! lattice points, and the cells around are untangled again: in the limit all cells there are cubes, apart at gaps.
+//! lattice points, and the cells around are untangled again: in the limit all cells there are cubes, and the two sides of
+//! a gap are apart.
 
 use std::collections::BTreeSet;
 

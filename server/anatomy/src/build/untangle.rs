@@ -307,23 +307,28 @@ impl<'a> Untangler<'a> {
         tried.find(|to| self.keeps_gap_open(node, to)).unwrap_or(at)
     }
 
-    /// Moves some nodes half way to their lattice points, and untangles the cells around them until none fails.
+    /// Moves some nodes and their copies half way to their lattice points, and untangles the cells around them until none
+    /// fails.
     pub(super) fn move_half_way(&self, nodes: &[u32], positions: &mut [Vec3]) {
-        let touched = self.halve(nodes, positions);
+        let touched = self.halve(&self.with_copies(nodes), positions);
         let bad = self.failing(touched.into_iter(), positions, FLOOR);
         self.let_go(bad, positions);
     }
 
-    /// Moves some nodes and their copies half way to their lattice points, and visits those of cells that fail; returns the
-    /// cells that may fail afterwards.
-    fn halve(&self, nodes: &[u32], positions: &mut [Vec3]) -> Vec<u32> {
+    /// Some nodes and their copies, sorted: both sides of a gap move, so that none comes beyond the other.
+    fn with_copies(&self, nodes: &[u32]) -> Vec<u32> {
         let copies = nodes.iter().flat_map(|node| self.copies(*node));
-        let nodes = sorted(copies.chain(nodes.iter().copied()));
-        for &node in &nodes {
+        sorted(copies.chain(nodes.iter().copied()))
+    }
+
+    /// Moves some nodes half way to their lattice points, and visits those of cells that fail; returns the cells that
+    /// may fail afterwards.
+    fn halve(&self, nodes: &[u32], positions: &mut [Vec3]) -> Vec<u32> {
+        for &node in nodes {
             let at = positions[node as usize];
             positions[node as usize] = (at + self.lattice_point(node)) / 2.0;
         }
-        let mut touched = self.failing(self.cells_at(&nodes).into_iter(), positions, GOOD);
+        let mut touched = self.failing(self.cells_at(nodes).into_iter(), positions, GOOD);
         for _ in 0..SWEEPS_AFTER_HALVING {
             touched = self.sweep(&touched, 0.0, positions);
         }
@@ -337,7 +342,7 @@ impl<'a> Untangler<'a> {
             if bad.is_empty() {
                 return sorted(gone.into_iter());
             }
-            let nodes = self.nodes_of(&bad);
+            let nodes = self.with_copies(&self.nodes_of(&bad));
             let mut touched = self.halve(&nodes, positions);
             gone.extend(nodes);
             touched.extend(&bad);
@@ -345,7 +350,7 @@ impl<'a> Untangler<'a> {
         }
         // Whole cells move back, then the cells that this spoils; in the limit all are cubes.
         while !bad.is_empty() {
-            let nodes = self.nodes_of(&bad);
+            let nodes = self.with_copies(&self.nodes_of(&bad));
             for &node in &nodes {
                 positions[node as usize] = self.lattice_point(node);
             }

@@ -8,7 +8,7 @@
 //!                                  # but not below spacing_min_mm, if that is given
 //! pinned = ["femur"]               # regions that do not move
 //! fuse = [["femur", "tibia"]]      # optional: regions that grow together where they are nearer than a cell;
-//!                                  # others stay apart where they are a quarter of the spacing or more apart
+//!                                  # others stay apart where they are an eighth of the spacing or more apart
 //! gravity_m_s2 = [0.0, 0.0, -9.81] # optional; without it nothing weighs anything
 //!
 //! [[region]]                       # later regions override earlier ones where they overlap
