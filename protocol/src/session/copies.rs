@@ -11,15 +11,17 @@ use crate::Span;
 /// From a message to the first of several copies, in the packet of the next motion.
 const FIRST_COPY_AFTER: Span = Span::from_millis(2);
 
-/// From a message to its last or only copy, after a short burst of losses.
+/// Between several copies: each leaves in another packet of motion.
+const COPY_INTERVAL: Span = Span::from_millis(4);
+
+/// Least time from a message to its last or only copy: longer than a short burst of losses.
 const LAST_COPY_AFTER: Span = Span::from_millis(10);
 
 /// Most copies of a message.
-const COPIES_PER_MESSAGE_MAX: u32 = 3;
+const COPIES_PER_MESSAGE_MAX: u32 = 4;
 
-/// Largest probability that all copies of a message are lost, if losses are independent. A lost earlier message blocks the stream
-/// for more than a round trip; then only copies arrive in time.
-const ALL_LOST_MAX: f64 = 2e-3;
+/// Largest probability that a message and all of its copies are lost, if losses are independent: one in an hour of cutting.
+const ALL_LOST_MAX: f64 = 3e-5;
 
 /// Longer messages have no copies: it must fit a datagram with its header.
 pub const COPY_MAX_BYTES: usize = 1024;
@@ -33,7 +35,7 @@ pub type MessageCopy = (u32, Vec<u8>);
 /// The fewest copies that a message needs on a link with this share of lost datagrams.
 fn copies_needed(loss: f64) -> u32 {
     (1..COPIES_PER_MESSAGE_MAX)
-        .find(|n| loss.powi(*n as i32) <= ALL_LOST_MAX)
+        .find(|n| loss.powi(*n as i32 + 1) <= ALL_LOST_MAX)
         .unwrap_or(COPIES_PER_MESSAGE_MAX)
 }
 
@@ -60,10 +62,12 @@ struct Waiting {
 impl Waiting {
     /// When the next copy is due.
     fn due(&self) -> Option<Span> {
-        let range = (LAST_COPY_AFTER - FIRST_COPY_AFTER).as_micros();
-        let further = self.needed - self.sent - 1;
-        let before_last = range * i64::from(further) / i64::from(self.needed.max(2) - 1);
-        Some(self.left? + LAST_COPY_AFTER - Span::from_micros(before_last))
+        let intervals = i64::from(self.needed.max(2) - 1);
+        let apart = Span::from_micros(COPY_INTERVAL.as_micros() * intervals);
+        let last = LAST_COPY_AFTER.max(FIRST_COPY_AFTER + apart);
+        let further = i64::from(self.needed - self.sent - 1);
+        let before_last = (last - FIRST_COPY_AFTER).as_micros() * further / intervals;
+        Some(self.left? + last - Span::from_micros(before_last))
     }
 }
 
@@ -199,8 +203,8 @@ mod tests {
 
     #[test]
     fn more_copies_are_needed_on_a_link_with_more_loss() {
-        let needed = [0.0, 0.001, 0.01, 0.04, 0.05, 0.1, 0.9].map(copies_needed);
-        assert_eq!(needed, [1, 1, 2, 2, 3, 3, 3]);
+        let needed = [0.0, 0.005, 0.01, 0.03, 0.05, 0.1, 0.9].map(copies_needed);
+        assert_eq!(needed, [1, 1, 2, 2, 3, 4, 4]);
     }
 
     #[test]
@@ -210,9 +214,10 @@ mod tests {
         copies.push(&[1], None);
         copies.push(&[2], Some(0.01));
         copies.note(ms(5));
-        copies.push(&[3], Some(0.1));
+        copies.push(&[3], Some(0.05));
         copies.push(&[4], Some(0.0));
         copies.push(&[0; COPY_MAX_BYTES + 1], Some(0.01));
+        copies.push(&[5], Some(0.1));
         copies.note(ms(10));
         let mut left = Vec::new();
         for t in 0..30 {
@@ -220,7 +225,10 @@ mod tests {
                 left.push((t, number));
             }
         }
-        assert_eq!(left, [(7, 1), (12, 2), (15, 1), (16, 2), (20, 2), (20, 3)]);
+        let of = |message| left.iter().filter(move |(_, n)| *n == message);
+        let times = [1, 2, 3, 4, 5].map(|n| of(n).map(|(t, _)| *t).collect::<Vec<_>>());
+        let expected = [&[7, 15][..], &[12, 16, 20], &[20], &[], &[12, 16, 20, 24]];
+        assert_eq!(times, expected);
         assert_eq!(copies.due(), None);
     }
 

@@ -81,7 +81,7 @@ fn number_of_copies_follows_the_loss_of_the_link() {
     let per_request = [0.0, 0.02, 0.1].map(copies_per_request);
     assert_eq!(
         per_request.map(f64::round),
-        [1.0, 2.0, 3.0],
+        [1.0, 2.0, 4.0],
         "{per_request:?}"
     );
 }
