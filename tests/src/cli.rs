@@ -10,6 +10,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::attack;
 use crate::bench::ablate::Ablate;
+use crate::bench::blade_sample::BladeSample;
 use crate::bench::bytes::Bytes;
 use crate::bench::coding::Coding;
 use crate::bench::cuts::CutLoad;
@@ -68,6 +69,7 @@ const BENCHES: &str = "\
 Examples:
   palpate-lab bench press-cube --nodes 40 --moving
   palpate-lab bench press-scene thigh.toml --json
+  palpate-lab bench blade-sample thigh.palp --depth-mm 10
   palpate-lab bench coding --round-trip-ms 200
   palpate-lab bench bytes --model thigh.palp
   palpate-lab bench view-cost --seconds 30
@@ -158,6 +160,8 @@ enum Bench {
     Bytes(Box<Measurement<Bytes>>),
     /// Load of a trainee's threads while other trainees cut beside the press
     Cuts(Measurement<CutLoad>),
+    /// Time of a blade sample of 1 mm: topology, levels, and their adoption by a pressing hand
+    BladeSample(Measurement<BladeSample>),
     /// Time of a join to a session with many cuts: from the snapshot, and from the whole log
     LateJoin(Measurement<LateJoin>),
     /// Time one tick of the force loop: read, compute, write
@@ -200,6 +204,7 @@ impl Bench {
             Self::Coding(measurement) => measurement,
             Self::Bytes(measurement) => measurement.as_ref(),
             Self::Cuts(measurement) => measurement,
+            Self::BladeSample(measurement) => measurement,
             Self::LateJoin(measurement) => measurement,
             Self::HapticTick(measurement) => measurement,
             Self::ViewCost(measurement) => measurement.as_ref(),

@@ -30,7 +30,8 @@ use palpate_site::{
 use palpate_tissue::{Budget, Topology, cut};
 use serde::Serialize;
 
-use super::{Benchmark, OnStage, quantile};
+use super::work::Work;
+use super::{Benchmark, OnStage};
 use crate::test_model::TestModel;
 use crate::tool_location::ToolLocation;
 
@@ -138,28 +139,6 @@ impl Benchmark for CutLoad {
             worker.worked,
             seconds,
         ))
-    }
-}
-
-/// Processor time per work item, ms.
-#[derive(Debug, Clone, Copy, Serialize)]
-pub struct Work {
-    pub count: usize,
-    pub mean_ms: f64,
-    pub p50_ms: f64,
-    pub p99_ms: f64,
-    pub max_ms: f64,
-}
-
-impl Work {
-    fn of(times: &[f64]) -> Self {
-        Self {
-            count: times.len(),
-            mean_ms: times.iter().sum::<f64>() / times.len().max(1) as f64,
-            p50_ms: quantile(times, 0.5),
-            p99_ms: quantile(times, 0.99),
-            max_ms: quantile(times, 1.0),
-        }
     }
 }
 

@@ -4,6 +4,7 @@
 //! on one machine.
 
 pub mod ablate;
+pub mod blade_sample;
 pub mod bytes;
 pub mod coding;
 pub mod cuts;
@@ -13,6 +14,7 @@ pub mod press_cube;
 pub mod press_scene;
 mod quic;
 pub mod view_cost;
+pub mod work;
 pub mod wound;
 
 use std::fmt::Display;
