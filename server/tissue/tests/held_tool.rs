@@ -8,10 +8,15 @@ const MM: f64 = 1e-3;
 const CELL: f64 = 4.0 * MM;
 const RADIUS: f64 = 8.0 * MM;
 
-/// A block of 64 x 64 x 32 mm whose lowest cells are pinned.
+/// A block of 64 x 64 x 32 mm of springs alone whose lowest cells are pinned.
 fn slab(pinned: usize) -> Topology {
+    slab_of(pinned, Material::default().poisson)
+}
+
+fn slab_of(pinned: usize, poisson: f64) -> Topology {
     let material = Material {
         young_pa: 10e3,
+        poisson,
         ..Material::default()
     };
     Topology::new(Arc::new(block([16, 16, 8], CELL, &material, pinned)))
@@ -70,6 +75,24 @@ fn held_ball_keeps_its_force() {
         forces[5..].iter().all(|f| (f / exact - 1.0).abs() < 0.01),
         "{exact} {forces:.3?}"
     );
+}
+
+/// Quick steps do not converge there. Multipliers without a bound sum up their errors, and the force varies by a fifth.
+#[test]
+fn ball_that_presses_tissue_flat_on_a_pinned_base_keeps_its_force() {
+    let depth = 7.8 * MM;
+    for step in [0.2 * MM, 0.4 * MM, 2.0 * MM] {
+        let mut tissue = Tissue::at_rest(slab_of(6, 0.45));
+        let steps = (depth / step).ceil() as u32;
+        for k in 1..=steps {
+            hold(&mut tissue, |_| above(depth.min(step * f64::from(k))), 1);
+        }
+        let forces = &hold(&mut tissue, |by| above(depth + by), 200)[20..];
+        let (least, most) = forces.iter().fold((f64::MAX, 0.0_f64), |(least, most), f| {
+            (least.min(*f), most.max(*f))
+        });
+        assert!(least > 5.0 && most / least < 1.05, "{step} m: {forces:.2?}");
+    }
 }
 
 /// A force is found to the tolerance of its own size, also after a greater one.

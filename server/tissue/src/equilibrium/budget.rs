@@ -130,7 +130,6 @@ impl Solver {
         self.report.clamped = self.fine.clamped;
         if self.report.active_nodes == 0 && self.contacts.nodes.is_empty() && self.held.is_empty() {
             self.reference = self.reference_force();
-            self.is_fading = false;
             self.report.residual = 0.0;
         }
     }

@@ -154,7 +154,6 @@ impl Solver {
         self.prescribed_from.clear();
         self.work_limit = WorkLimit::NONE;
         self.reference = self.reference_force();
-        self.is_fading = false;
         self.report.reactions.clear();
         self.dirty = false;
         true

@@ -80,8 +80,6 @@ pub(crate) struct Solver {
     pub(super) held: Vec<u32>,
     pub(super) work_limit: WorkLimit,
     pub(super) reference: f64,
-    /// Whether the reference residual is still that of greater forces.
-    pub(super) is_fading: bool,
     /// Equilibrium without tools, if it differs from the rest shape.
     pub(super) reference_state: Option<Arc<ReferenceState>>,
     /// Whether the shape is known to have started from the reference state.
@@ -147,7 +145,6 @@ impl Solver {
             held: Vec::new(),
             work_limit: WorkLimit::NONE,
             reference: 0.0,
-            is_fading: false,
             reference_state,
             has_started: false,
             report: StepReport::default(),
@@ -226,7 +223,7 @@ impl Solver {
         self.report.steady = true;
         self.report.visits = [0; 2];
         self.report.rolled_back = false;
-        let is_settled = self.report.lag_m == 0.0 && !self.contacts.is_apart && !self.is_fading;
+        let is_settled = self.report.lag_m == 0.0 && !self.contacts.is_apart;
         if !changed && is_settled && self.report.residual <= budget.tolerance {
             self.settle(budget.tolerance);
             return &self.report;
@@ -483,15 +480,12 @@ impl Solver {
         if self.held.is_empty() && self.contacts.proxies.is_empty() {
             sum += self.fine.square_of_weights();
         }
-        self.is_fading = recent > sum.sqrt();
-        if self.is_fading {
-            self.reference = recent;
-        } else if sum > 0.0 {
-            self.reference = sum.sqrt();
+        let reference = recent.max(sum.sqrt());
+        if reference > 0.0 {
+            self.reference = reference;
         }
         if tolerance >= PROVEN && self.uses(Mechanism::LeastReference) {
             let least = LEAST[usize::from(near)] * self.least;
-            self.is_fading &= self.reference > least;
             self.reference = self.reference.max(least);
         }
         tolerance * self.reference
