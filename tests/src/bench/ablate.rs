@@ -44,6 +44,8 @@ const CONVERGED_EVERY: usize = 3;
 /// Times that each variant is measured; the fastest counts for every tick.
 const REPEATS: usize = 2;
 const PHASES: [&str; 5] = ["press", "slide", "withdraw", "fast", "jump"];
+/// The phase whose poses are so far apart that a reference that skips some loses the contact.
+const JUMP: usize = 4;
 
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct PhaseFigures {
@@ -131,7 +133,7 @@ impl Course {
         let jump = (0..JUMPS).flat_map(|n| JUMP_DEPTHS.map(|share| (n, share)));
         let jump = jump.map(|(n, share)| {
             let along = end * (n % 3) as f64 / 2.0 * share.max(0.5);
-            (at(depth_max * share, along), 4)
+            (at(depth_max * share, along), JUMP)
         });
         Ok(Self {
             name: name.to_owned(),
@@ -168,7 +170,7 @@ impl Course {
                 tissue.succeed(preparer.repeat(cut));
             }
             phase_before = phase;
-            if run.len() % every != 0 {
+            if run.len() % every != 0 && phase != JUMP {
                 run.push(None);
                 continue;
             }

@@ -2,7 +2,7 @@
 //!
 //! A sample adds 1 mm of path. A cut also contains the last three spacings of the path before it, as in a session. Processor
 //! time of one thread, without other work of the program: the topology and the change of the levels on the cut thread, and
-//! their adoption on the hand's thread. A sample between two layers of cells opens no face.
+//! their adoption on the hand's thread. A sample between two layers of cells, or beside the model, opens no face.
 
 use std::fmt;
 use std::sync::Arc;
@@ -23,7 +23,7 @@ use crate::tool_location::ToolLocation;
 const SAMPLE_M: f64 = 1e-3;
 /// Path of earlier samples in each cut, in spacings.
 const OVERLAP: f64 = 3.0;
-/// Distance of the first strokes from the ball, and between strokes on a side, m.
+/// Largest distance of the first strokes from the ball, and between strokes on a side, m.
 const BESIDE_M: f64 = 0.014;
 const APART_M: f64 = 6e-3;
 /// Largest length of a stroke, m.
@@ -101,7 +101,7 @@ impl BladeSample {
         for i in 0..self.strokes {
             progress(&format!("stroke {} of {}", i + 1, self.strokes));
             let side = if i % 2 == 0 { 1.0 } else { -1.0 };
-            let across = side * (BESIDE_M + APART_M * f64::from(i / 2));
+            let across = side * (BESIDE_M + APART_M * f64::from(i / 2)) * ball.location.scale();
             let path = self.path(&ball.location, across);
             let overlap = (OVERLAP * ball.location.spacing_m / SAMPLE_M).ceil() as usize;
             for (k, points) in path.windows(overlap + 1).enumerate() {
@@ -115,6 +115,12 @@ impl BladeSample {
         }
         let later = || samples.iter().filter(|s| !s.is_first);
         let opened = || later().filter_map(|s| Some((s.topology_ms, s.opened_ms?)));
+        if opened().next().is_none() {
+            let room = LENGTH_M * ball.location.scale() * 1e3;
+            return Err(format!(
+                "no sample opens a face: there is room for strokes of {room:.0} mm; use a finer or larger model, or a deeper blade"
+            ));
+        }
         let work = |times: Vec<f64>| Work::of(&times);
         Ok(BladeSampleReport {
             nodes: topology.node_count(),
@@ -200,7 +206,7 @@ impl Sample {
                 drop(retired);
                 Some([levels, hand])
             }
-            Err(CutError::NothingNew) => None,
+            Err(CutError::NothingNew | CutError::NoTissue) => None,
             Err(error) => return Err(error.to_string()),
         };
         Ok(Self {
