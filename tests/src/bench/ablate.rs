@@ -44,8 +44,8 @@ const CONVERGED_EVERY: usize = 3;
 /// Times that each variant is measured; the fastest counts for every tick.
 const REPEATS: usize = 2;
 const PHASES: [&str; 5] = ["press", "slide", "withdraw", "fast", "jump"];
-/// The phase whose poses are so far apart that a reference that skips some loses the contact.
-const JUMP: usize = 4;
+/// Phases from here on have poses so far apart that a reference that skips some loses the contact.
+const FAST: usize = 3;
 
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct PhaseFigures {
@@ -128,12 +128,12 @@ impl Course {
         let stroke = (1..=turn).chain((0..turn).rev());
         let fast = (0..FAST_STROKES).flat_map(|_| stroke.clone()).map(|k| {
             let depth = (k as f64 * FAST_M_S * TICK_S).min(depth_max);
-            (at(depth, end), 3)
+            (at(depth, end), FAST)
         });
         let jump = (0..JUMPS).flat_map(|n| JUMP_DEPTHS.map(|share| (n, share)));
         let jump = jump.map(|(n, share)| {
             let along = end * (n % 3) as f64 / 2.0 * share.max(0.5);
-            (at(depth_max * share, along), JUMP)
+            (at(depth_max * share, along), FAST + 1)
         });
         Ok(Self {
             name: name.to_owned(),
@@ -170,7 +170,7 @@ impl Course {
                 tissue.succeed(preparer.repeat(cut));
             }
             phase_before = phase;
-            if run.len() % every != 0 && phase != JUMP {
+            if run.len() % every != 0 && phase < FAST {
                 run.push(None);
                 continue;
             }

@@ -15,7 +15,6 @@ use super::corners::{SKEWED, STRENGTH};
 use super::kernel::Aligned;
 use super::lanes::LANES;
 use super::law::{Curve, Elastic};
-use super::small_strain::DISPLACEMENT_MAX;
 use crate::cell::PAIRS;
 use crate::springs::LENGTH_FLOOR;
 use crate::{Topology, Vec3, fit};
@@ -83,6 +82,9 @@ const fn corners() -> [[usize; 8]; 8] {
     list
 }
 
+/// Relative lengths within which no spring of a plain form may be extreme.
+const LENGTHS: [f32; 2] = [0.89, 1.1];
+
 /// Everything but displacements that determines the forces of a brick; equal bricks share one form.
 #[derive(Clone, PartialEq)]
 pub(crate) struct Form {
@@ -92,10 +94,6 @@ pub(crate) struct Form {
     pub(crate) stiffness: Aligned<[[f32; SPAN]; DIRECTIONS]>,
     /// Their rest lengths in m.
     pub(crate) rest_length: Aligned<[[f32; SPAN]; DIRECTIONS]>,
-    /// One over their squares; zero where there is no spring.
-    pub(crate) per_square: Aligned<[[f32; SPAN]; DIRECTIONS]>,
-    /// Displacement in m relative to the first node up to which the small-strain law may apply; below zero if never.
-    pub(crate) small_displacement: f32,
     /// Bit `4 d + i / 8` is set when a spring of direction `d` starts at a node around `i`.
     used: u64,
     /// κ V0 of each cell in N m, and one over its determinant at rest, by the cell's first node (the volume term).
@@ -132,6 +130,12 @@ impl Form {
                 })
             })
         })
+    }
+
+    /// Whether its springs follow the length law alone at small strain.
+    pub(super) fn is_plain(&self) -> bool {
+        let [least, most] = self.curve.limits;
+        !self.skewed && self.curve.stiffening == 0.0 && least < LENGTHS[0] && most > LENGTHS[1]
     }
 }
 
@@ -258,8 +262,6 @@ impl Draft {
         let mut stiffness = Aligned([[0.0; SPAN]; DIRECTIONS]);
         // One where no spring exists: the numerator is zero there.
         let mut rest_length = Aligned([[1.0; SPAN]; DIRECTIONS]);
-        let mut per_square = Aligned([[0.0; SPAN]; DIRECTIONS]);
-        let mut shortest = [f32::INFINITY; SPAN];
         let mut used = 0;
         for (d, row) in stiffness.iter_mut().enumerate() {
             for (i, (to, k)) in row.iter_mut().zip(springs[d]).enumerate() {
@@ -274,27 +276,16 @@ impl Draft {
                 }
             }
             // Without branches, so that it is vectorised.
-            let (lengths, per_square) = (&mut rest_length[d], &mut per_square[d]);
+            let lengths = &mut rest_length[d];
             for i in 0..SPAN {
                 let length = square[i].sqrt().max(1e-10);
-                let is_spring = row[i] > 0.0;
-                lengths[i] = if is_spring { length } else { 1.0 };
-                per_square[i] = if is_spring {
-                    1.0 / (length * length)
-                } else {
-                    0.0
-                };
-                let length = if is_spring { length } else { f32::INFINITY };
-                shortest[i] = shortest[i].min(length);
+                lengths[i] = if row[i] > 0.0 { length } else { 1.0 };
             }
         }
-        let shortest = shortest.into_iter().fold(f32::INFINITY, f32::min);
-        let mut form = Form {
+        Form {
             rest,
             stiffness,
             rest_length,
-            per_square,
-            small_displacement: DISPLACEMENT_MAX * shortest,
             used,
             bulk,
             per_volume,
@@ -303,11 +294,7 @@ impl Draft {
             skewed,
             has_bulk: bulk.iter().any(|&b| b > 0.0),
             curve: self.curve,
-        };
-        if !form.is_plain() {
-            form.small_displacement = -1.0;
         }
-        form
     }
 }
 

@@ -13,7 +13,7 @@ use super::cycle::Multigrid;
 use super::hierarchy::Hierarchy;
 use super::jacobi_blocks::JacobiBlocks;
 use super::kernel::{Ends, Forces};
-use super::mechanism::{Disabled, Mechanism};
+use super::mechanism::Disabled;
 use super::quad::{Quad, ZERO, laid_out};
 use super::weight::weights;
 use crate::contact::Contacts;
@@ -317,7 +317,6 @@ impl FineLevel {
             self.computed.insert(brick);
         }
         let arch = self.arch;
-        let expands = self.disabled.allows(Mechanism::SmallStrain);
         let one = |brick: u32, to: &mut [[f32; LOCALS]; 3], scratch: &mut Ends<3>| {
             let b = &hierarchy.bricks[brick as usize];
             let form = &hierarchy.forms[b.form as usize];
@@ -327,7 +326,6 @@ impl FineLevel {
                 u,
                 to,
                 scratch,
-                expands,
             });
         };
         if list.len() < PARALLEL || rayon::current_num_threads() == 1 {
@@ -449,7 +447,6 @@ impl FineLevel {
                 u,
                 to: &mut f,
                 scratch: &mut Ends::new(),
-                expands: true,
             });
             sum += Vec3::new(f64::from(f[0][i]), f64::from(f[1][i]), f64::from(f[2][i]));
         }

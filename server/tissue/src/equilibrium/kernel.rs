@@ -10,7 +10,6 @@ use super::brick::{Brick, DIRECTIONS, Form, LOCALS, OFFSETS, PADDED, SPAN};
 use super::corners::{corner_forces, corner_tangents};
 use super::lanes::V;
 use super::law::{EXTREME, GUARD, GUARDED, LONG, SHORT, SIDEWAYS};
-use super::small_strain::small_strain_forces;
 use super::stabilisation::{stabilised_forces, stabilised_tangents};
 use super::volume::{volume_forces, volume_tangents};
 use crate::Vec3;
@@ -57,8 +56,6 @@ pub(crate) struct Forces<'a> {
     pub(crate) u: &'a [Vec3],
     pub(crate) to: &'a mut [[f32; LOCALS]; 3],
     pub(crate) scratch: &'a mut Ends<3>,
-    /// Whether small strains use the expansion.
-    pub(crate) expands: bool,
 }
 
 impl WithSimd for Forces<'_> {
@@ -67,21 +64,14 @@ impl WithSimd for Forces<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let local = gather(&self.brick.nodes, self.u);
-        let small = if self.expands {
-            small_strain_forces(simd, self.form, &local, self.scratch)
-        } else {
-            None
-        };
-        let mut f = match small {
-            Some(f) => f,
-            None if self.form.curve.held => {
-                let (mut f, strained) = stabilised_forces(simd, self.form, &local, self.scratch);
-                if strained || self.form.skewed {
-                    corner_forces(simd, self.form, &local, &mut f);
-                }
-                f
+        let mut f = if self.form.curve.held {
+            let (mut f, strained) = stabilised_forces(simd, self.form, &local, self.scratch);
+            if strained || self.form.skewed {
+                corner_forces(simd, self.form, &local, &mut f);
             }
-            None => spring_forces(simd, self.form, &local, self.scratch),
+            f
+        } else {
+            spring_forces(simd, self.form, &local, self.scratch)
         };
         if self.form.has_bulk {
             volume_forces(simd, self.brick, self.form, self.u, &local, &mut f);

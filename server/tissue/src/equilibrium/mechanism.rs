@@ -54,9 +54,7 @@ mechanisms! {
     StrainLimit "strain-limit",
     /// Strained bricks stay in the active set.
     StrainedStay "strained-stay",
-    /// Deferred elements with a large force are refined.
-    ForceLimit "force-limit",
-    /// Every second step refines the block with a large deferred force, in rotation.
+    /// A step with few active nodes refines an element with a large deferred force, in rotation.
     Rotation "rotation",
     /// Nodes beside deferred elements do not require refinement.
     KnownForces "known-forces",
@@ -70,8 +68,6 @@ mechanisms! {
     RimFollows "rim-follows",
     /// Bricks with small strain use their blocks at rest in the smoother.
     BlocksAtRest "blocks-at-rest",
-    /// Springs of bricks with small strain use a polynomial.
-    SmallStrain "small-strain",
     /// Tissue out of reach of all tools returns to its equilibrium at rest.
     ReferenceReturn "reference-return",
     /// Lower bound of the force that residuals are relative to.

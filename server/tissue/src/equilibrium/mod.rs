@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | `law`, `fibres`, `modulus` | spring laws of a material: length law, volume term, guard, extreme springs, fibres |
 //! | `stabilisation`, `corners` | energies against buckling and collapse of deeply pressed tissue |
-//! | `brick`, `kernel`, `small_strain`, `lanes` | forces of eight cells at a time, in vectors |
+//! | `brick`, `kernel`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `hierarchy`, `coarsen`, `element`, `matrix` | coarse lattices and their Galerkin operators, per element |
 //! | `prolongation` | trilinear interpolation between two levels; its transpose restricts |
 //! | `effective_stiffness` | answer of elements that a quick step defers |
@@ -87,7 +87,6 @@ mod reversal;
 mod rigid_aggregation;
 mod settling;
 mod sizes;
-mod small_strain;
 mod smoothing;
 mod solver;
 mod stabilisation;

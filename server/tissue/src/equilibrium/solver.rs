@@ -15,7 +15,7 @@ use super::hierarchy::Hierarchy;
 use super::mechanism::{Disabled, Mechanism};
 use super::quad::reserve;
 use super::reference_state::ReferenceState;
-use super::work_limit::WorkLimit;
+use super::work_limit::{self, WorkLimit};
 use crate::contact::{Contacts, Tool};
 use crate::{Shape, Topology, Vec3};
 
@@ -32,9 +32,8 @@ const EFFORT: [Effort; 2] = [
         coarsest: 10,
     },
 ];
-/// Force on a corner of an element, in thresholds, from which its pending displacement has it refined; of a full solve
-/// and of a quick step.
-const PENDING: [f32; 2] = [4.0, 10.0];
+/// Full solves: force on a corner of an element, in thresholds, from which its pending displacement has it refined.
+const PENDING: f32 = 4.0;
 /// Quick steps: relative change of size up to which an element stays deferred, with the coarse stiffness at rest (of
 /// springs alone, and of tissue that bottoms out). `KEEP_STRAINED` is the change that keeps a brick in the active set.
 const STRAINED: [f32; 2] = [0.12, 0.1];
@@ -62,10 +61,6 @@ pub(super) const QUICK: f64 = 0.02;
 const DEEPEN: f64 = 0.25;
 /// Minimum iterations after a jump or at first touch, where no warm start exists.
 const DUE: usize = 3;
-/// Every N-th quick step refines an element with a large deferred force; without this, forces depend on the path. See
-/// DECISIONS.md.
-pub(super) const REFINED_EVERY: u32 = 2;
-
 /// Displacement in m that a step of low accuracy need not prolongate to distant nodes: the resolution of displacements
 /// on the network.
 const UNSEEN_M: f64 = 10e-6;
@@ -95,8 +90,6 @@ pub(crate) struct Solver {
     pub(super) last_forces: Vec<Vec3>,
     /// Quick steps since the topology changed or since a full solve; `None` once settled.
     pub(super) settling: Option<usize>,
-    /// Quick steps since the tissue was at rest.
-    pub(super) quick_steps: u32,
     /// Mechanisms that an ablation has switched off.
     pub(super) disabled: Disabled,
 }
@@ -153,7 +146,6 @@ impl Solver {
             prescribed_displacements: Vec::new(),
             last_forces: Vec::new(),
             settling: None,
-            quick_steps: 0,
             disabled: Disabled::default(),
         }
     }
@@ -422,16 +414,13 @@ impl Solver {
 
     /// Sets the limits of a quick step: how much elements may defer.
     fn prepare_quick(&mut self) {
-        let is_at_rest = self.fine.at_reference;
-        self.quick_steps = if is_at_rest { 0 } else { self.quick_steps + 1 };
-        let turn = self.quick_steps % REFINED_EVERY == REFINED_EVERY - 1;
-        if turn && self.uses(Mechanism::Rotation) {
+        let elements = self.coarse.grids.iter().map(|p| p.set.items.len());
+        let load = work_limit::load(self.fine.nodes.items.len(), elements.sum());
+        if load < work_limit::SPARE && self.uses(Mechanism::Rotation) {
             self.coarse.refine_next(&self.hierarchy);
         }
-        let elements = self.coarse.grids.iter().map(|p| p.set.items.len());
-        let nodes = self.fine.nodes.items.len();
         let work_limit = if self.uses(Mechanism::WorkLimit) {
-            self.work_limit.update(nodes, elements.sum())
+            self.work_limit.update(load)
         } else {
             1.0
         };
@@ -443,10 +432,9 @@ impl Solver {
                 f32::INFINITY
             }
         };
-        let pending = limit(Mechanism::ForceLimit, PENDING[1]);
         let strained = limit(Mechanism::StrainLimit, STRAINED[deep]);
         let keep_strained = limit(Mechanism::StrainedStay, KEEP_STRAINED[deep]);
-        (self.coarse.pending, self.coarse.strained) = (pending, strained);
+        (self.coarse.pending, self.coarse.strained) = (f32::INFINITY, strained);
         self.coarse.is_effective = self.uses(Mechanism::EffectiveStiffness);
         self.fine.keep_strained = keep_strained;
     }
@@ -454,7 +442,7 @@ impl Solver {
     /// Sets the limits of a full solve.
     fn prepare_full(&mut self) {
         self.work_limit = WorkLimit::NONE;
-        self.coarse.pending = PENDING[0];
+        self.coarse.pending = PENDING;
         self.coarse.strained = f32::INFINITY;
         self.coarse.is_effective = false;
         self.fine.keep_strained = f32::INFINITY;

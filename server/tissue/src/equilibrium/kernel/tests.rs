@@ -44,42 +44,6 @@ fn vectors_of_any_width_give_the_same_bits() {
     }
 }
 
-#[test]
-fn small_strain_expansion_equals_the_general_law_within_its_range() {
-    slight_springs_follow(brick(0.0, false));
-    slight_springs_follow(brick(0.0, true));
-}
-
-fn slight_springs_follow((brick, form, u): (Brick, Form, Vec<Vec3>)) {
-    let general = |u: &[Vec3]| {
-        let local = gather(&brick.nodes, u);
-        if form.curve.held {
-            stabilised_forces(Scalar, &form, &local, &mut Ends::new()).0
-        } else {
-            spring_forces(Scalar, &form, &local, &mut Ends::new())
-        }
-    };
-    let other = |u: &[Vec3]| {
-        let local = gather(&brick.nodes, u);
-        small_strain_forces(Scalar, &form, &local, &mut Ends::new())
-    };
-    assert!(other(&u).is_none());
-    for turned in [0.0, 0.04] {
-        // A rotation strains nothing beyond second order.
-        let turn = |(u, p): (&Vec3, usize)| {
-            let [x, y] = [0, 1].map(|a| f64::from(form.rest[a][p]));
-            u + Vec3::new(-y, x, 0.0) * turned
-        };
-        let u: Vec<Vec3> = small(&u).iter().zip(0..).map(turn).collect();
-        let (all, some) = (general(&u), other(&u).unwrap());
-        let (all, some) = (all.as_flattened(), some.as_flattened());
-        let size = all.iter().fold(0.0f32, |m, f| m.max(f.abs()));
-        for (a, b) in all.iter().zip(some) {
-            assert!((a - b).abs() < 2e-6 * size, "{a} {b} of {size}");
-        }
-    }
-}
-
 /// A small part of the displacements.
 fn small(u: &[Vec3]) -> Vec<Vec3> {
     u.iter().map(|u| u * 0.02).collect()
@@ -98,7 +62,6 @@ fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
             u,
             to: &mut f,
             scratch,
-            expands: true,
         };
         if wide {
             Arch::new().dispatch(op);
@@ -211,7 +174,6 @@ fn forces(brick: &Brick, form: &Form, u: &[Vec3]) -> [[f32; LOCALS]; 3] {
         u,
         to: &mut forces,
         scratch: &mut Ends::new(),
-        expands: true,
     });
     forces
 }
