@@ -61,7 +61,7 @@ impl Chebyshev {
 pub(super) struct Multigrid {
     pub(super) grids: Vec<CoarseLevel>,
     arch: Arch,
-    /// Force on a corner of an element of level 1, in thresholds, above which it is refined.
+    /// Force on a corner of an element of level 1, in thresholds, above which it is refined; infinite in quick steps.
     pub(super) pending: f32,
     /// Relative change of size up to which an element stays deferred.
     pub(super) strained: f32,
@@ -83,7 +83,7 @@ impl Multigrid {
         Self {
             grids: hierarchy.levels.iter().map(CoarseLevel::new).collect(),
             arch: Arch::new(),
-            pending: 1.0,
+            pending: f32::INFINITY,
             strained: f32::INFINITY,
             is_effective: false,
             curve: 0.0,
@@ -500,8 +500,9 @@ fn smooth<S: Simd>(
     }
 }
 
-/// Limits of a deferred element of level l + 1: a force in N (coarse errors are a smaller part of a larger force) and a
-/// change of size in m (coarse matrices do not know that tissue stiffens), from those of level 1 and relative to the side.
+/// Limits of a deferred element of level l + 1: a force in N (coarse errors are a smaller part of a larger force) in full
+/// solves, and a change of size in m (coarse matrices do not know that tissue stiffens) in quick steps. They follow from
+/// those of level 1 and from the side.
 fn deferral_limits(hierarchy: &Hierarchy, l: usize, [force, strain]: [f32; 2]) -> [f32; 2] {
     let side = (2 << l) as f32 / hierarchy.per_spacing;
     [force * (1 << l) as f32, strain * side]

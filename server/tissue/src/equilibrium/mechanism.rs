@@ -54,7 +54,7 @@ mechanisms! {
     StrainLimit "strain-limit",
     /// Strained bricks stay in the active set.
     StrainedStay "strained-stay",
-    /// A step with few active nodes refines an element with a large deferred force, in rotation.
+    /// A step with room in the work limit refines an element with a large deferred force, in rotation.
     Rotation "rotation",
     /// Nodes beside deferred elements do not require refinement.
     KnownForces "known-forces",

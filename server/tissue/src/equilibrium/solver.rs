@@ -15,7 +15,7 @@ use super::hierarchy::Hierarchy;
 use super::mechanism::{Disabled, Mechanism};
 use super::quad::reserve;
 use super::reference_state::ReferenceState;
-use super::work_limit::{self, WorkLimit};
+use super::work_limit::WorkLimit;
 use crate::contact::{Contacts, Tool};
 use crate::{Shape, Topology, Vec3};
 
@@ -32,7 +32,7 @@ const EFFORT: [Effort; 2] = [
         coarsest: 10,
     },
 ];
-/// Full solves: force on a corner of an element, in thresholds, from which its pending displacement has it refined.
+/// Full solves: force on a corner of a deferred element, in thresholds, above which it is refined.
 const PENDING: f32 = 4.0;
 /// Quick steps: relative change of size up to which an element stays deferred, with the coarse stiffness at rest (of
 /// springs alone, and of tissue that bottoms out). `KEEP_STRAINED` is the change that keeps a brick in the active set.
@@ -344,6 +344,11 @@ impl Solver {
             if self.report.iterations > 0 {
                 self.finish(u);
             }
+            if self.uses(Mechanism::WorkLimit) {
+                let elements = self.coarse.grids.iter().map(|p| p.set.items.len());
+                let nodes = self.fine.nodes.items.len();
+                self.work_limit.update(nodes, elements.sum());
+            }
             self.settle(budget.tolerance);
         }
         if !self.held.is_empty() {
@@ -414,16 +419,10 @@ impl Solver {
 
     /// Sets the limits of a quick step: how much elements may defer.
     fn prepare_quick(&mut self) {
-        let elements = self.coarse.grids.iter().map(|p| p.set.items.len());
-        let load = work_limit::load(self.fine.nodes.items.len(), elements.sum());
-        if load < work_limit::SPARE && self.uses(Mechanism::Rotation) {
+        if self.work_limit.leaves_room() && self.uses(Mechanism::Rotation) {
             self.coarse.refine_next(&self.hierarchy);
         }
-        let work_limit = if self.uses(Mechanism::WorkLimit) {
-            self.work_limit.update(load)
-        } else {
-            1.0
-        };
+        let work_limit = self.work_limit.factor();
         let deep = usize::from(self.hierarchy.bottoms_out);
         let limit = |mechanism, limit: f32| {
             if self.uses(mechanism) {
