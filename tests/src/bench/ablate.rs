@@ -40,6 +40,7 @@ const SLIDE: usize = 60;
 const QUICK: f64 = 2.5e-2;
 /// Maximum iterations and tolerance of the converged solution.
 const CONVERGED: (usize, f64) = (200, 1e-4);
+/// In phases before `FAST`, poses between two converged solutions.
 const CONVERGED_EVERY: usize = 3;
 /// Times that each variant is measured; the fastest counts for every tick.
 const REPEATS: usize = 2;
