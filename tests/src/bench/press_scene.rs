@@ -98,17 +98,45 @@ pub struct Figures {
     pub ms: [f64; 2],
     pub worst_error: f64,
     pub rms_error: f64,
+    /// The same errors relative to the largest converged force: relative to their own, forces of some mN count most.
+    pub worst_error_of_largest: f64,
+    pub rms_error_of_largest: f64,
 }
 
 impl Figures {
-    fn of(ticks: &[&Tick]) -> Self {
+    fn of(ticks: &[&Tick], largest_n: f64) -> Self {
         let times: Vec<f64> = ticks.iter().map(|t| t.ms).collect();
-        let squares: f64 = ticks.iter().map(|t| t.error * t.error).sum();
+        let worst = |errors: &[f64]| errors.iter().fold(0.0, |most: f64, e| most.max(e.abs()));
+        let rms = |errors: &[f64]| {
+            let squares: f64 = errors.iter().map(|e| e * e).sum();
+            (squares / errors.len() as f64).sqrt()
+        };
+        let own: Vec<f64> = ticks.iter().map(|t| t.error).collect();
+        let of_largest = |t: &&Tick| (t.force_n - t.converged_n) / largest_n;
+        let of_largest: Vec<f64> = ticks.iter().map(of_largest).collect();
         Self {
             ms: [super::median(&times), super::quantile(&times, 0.99)],
-            worst_error: ticks.iter().map(|t| t.error.abs()).fold(0.0, f64::max),
-            rms_error: (squares / ticks.len() as f64).sqrt(),
+            worst_error: worst(&own),
+            rms_error: rms(&own),
+            worst_error_of_largest: worst(&of_largest),
+            rms_error_of_largest: rms(&of_largest),
         }
+    }
+}
+
+impl fmt::Display for Figures {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "tick p50 {:.2} ms, p99 {:.2} ms; force error worst {:.1} %, rms {:.1} %; of the largest force worst {:.1} %, \
+             rms {:.2} %",
+            self.ms[0],
+            self.ms[1],
+            self.worst_error * 100.0,
+            self.rms_error * 100.0,
+            self.worst_error_of_largest * 100.0,
+            self.rms_error_of_largest * 100.0
+        )
     }
 }
 
@@ -244,6 +272,7 @@ fn summary(model: Prepared) -> PressSceneReport {
     let ticks = model.ticks;
     let moving = &ticks[..model.moving.min(ticks.len())];
     let (back, press): (Vec<&Tick>, Vec<&Tick>) = ticks.iter().partition(|t| t.draws_back);
+    let largest = ticks.iter().map(|t| t.converged_n).fold(LEAST_N, f64::max);
     let slope = |part: &[Tick]| match part {
         [first, .., last] => {
             (last.converged_n - first.converged_n) / (last.depth_mm - first.depth_mm)
@@ -255,8 +284,8 @@ fn summary(model: Prepared) -> PressSceneReport {
         wound: model.wound,
         nodes: model.first.topology().node_count(),
         setup_ms: model.setup_ms,
-        press: Figures::of(&press),
-        back: Figures::of(&back),
+        press: Figures::of(&press, largest),
+        back: Figures::of(&back, largest),
         active: ticks.iter().map(|t| t.active).max().unwrap_or(0),
         stiffening: slope(&moving[moving.len() - fifth..]) / slope(&moving[..fifth]),
         ticks,
@@ -294,20 +323,10 @@ impl fmt::Display for PressSceneReport {
         }
         write!(
             f,
-            "{} nodes; tick p50 {:.2} ms, p99 {:.2} ms; force error worst {:.1} %, rms {:.1} %; at \
-             most {} nodes active; slope of the last fifth {:.1} times the first; drawn back p50 {:.2} ms, \
-             p99 {:.2} ms, worst {:.1} %, rms {:.1} %",
-            self.nodes,
-            self.press.ms[0],
-            self.press.ms[1],
-            self.press.worst_error * 100.0,
-            self.press.rms_error * 100.0,
-            self.active,
-            self.stiffening,
-            self.back.ms[0],
-            self.back.ms[1],
-            self.back.worst_error * 100.0,
-            self.back.rms_error * 100.0
+            "{} nodes; at most {} active; slope of the last fifth {:.1} times the first\n\
+             press: {}\n\
+             withdrawal: {}",
+            self.nodes, self.active, self.stiffening, self.press, self.back
         )
     }
 }

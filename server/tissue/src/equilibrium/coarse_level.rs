@@ -148,6 +148,8 @@ pub(super) struct CoarseLevel {
     pub(super) has_pending: Vec<bool>,
     /// Square of the largest corner force of each element's pending displacement, in N².
     deferred_square: Vec<f32>,
+    /// Stiffness of each element along its displacement when it was last refined, relative to its effective stiffness.
+    pub(super) secant: Vec<f32>,
     /// The element that was refined last by rotation.
     last_turn: u32,
     /// Forces of the correction `e` on active elements that are not refined.
@@ -196,6 +198,7 @@ impl CoarseLevel {
             deferred_force: laid_out(NOTHING, elements),
             has_pending: laid_out(false, elements),
             deferred_square: laid_out(0.0, elements),
+            secant: laid_out(1.0, elements),
             last_turn: 0,
             deferred: Vec::new(),
             total: laid_out([0.0; 3], points),
@@ -223,6 +226,7 @@ impl CoarseLevel {
         self.total.fill([0.0; 3]);
         self.applied.fill([0.0; 3]);
         self.prolongated.clear();
+        self.secant.fill(1.0);
         self.last_turn = 0;
         self.deferred.clear();
         for list in [
@@ -287,6 +291,7 @@ impl CoarseLevel {
         trim(&mut self.deferred_force, elements);
         trim(&mut self.has_pending, elements);
         trim(&mut self.deferred_square, elements);
+        trim(&mut self.secant, elements);
         // The next cycle fills it again, and the next contacts need fewer.
         self.deferred = Vec::new();
         (self.stiffened_elements, self.spare) = Default::default();
@@ -394,6 +399,7 @@ impl CoarseLevel {
         self.deferred_force.resize(len, NOTHING);
         self.has_pending.resize(len, false);
         self.deferred_square.resize(len, 0.0);
+        self.secant.resize(len, 1.0);
     }
 
     /// Drops points whose deferred residual is zero.

@@ -179,7 +179,8 @@ impl Multigrid {
         let level_below = &hierarchy.levels[l - 1];
         for &child in level.children.row(element) {
             let by = to_child(&pending, level_below.octant[child as usize]);
-            let force = level_below.force(pulp::Scalar::new(), child, &by, self.is_effective);
+            let secant = self.is_effective.then(|| below.secant[child as usize]);
+            let force = level_below.force(pulp::Scalar::new(), child, &by, secant);
             let waits = below.defer_displacement(level_below, child, &by, &force, 1.0);
             let limits =
                 deferral_limits(hierarchy, l - 1, [self.pending * threshold, self.strained]);
@@ -422,7 +423,8 @@ impl WithSimd for Defer<'_> {
             for (v, &point) in by.iter_mut().zip(&level.corners[element as usize]) {
                 *v = grid.e[point as usize];
             }
-            let force = level.force(simd, element, &by, is_effective);
+            let secant = is_effective.then(|| grid.secant[element as usize]);
+            let force = level.force(simd, element, &by, secant);
             for (v, force) in by.iter().zip(&force) {
                 *curve += dot(v, force);
             }
@@ -432,14 +434,18 @@ impl WithSimd for Defer<'_> {
 }
 
 impl Level {
-    /// Forces of an element for these corner displacements, in N, by its effective stiffness or by its matrix.
+    /// Forces of an element for these corner displacements, in N, by its secant stiffness relative to the effective one, or
+    /// by its matrix.
     #[inline(always)]
-    fn force<S: Simd>(&self, simd: S, element: u32, by: &Corners, is_effective: bool) -> Corners {
-        let answer = if is_effective {
-            self.effective[element as usize]
-        } else {
-            Effective::MATRIX
-        };
+    pub(super) fn force<S: Simd>(
+        &self,
+        simd: S,
+        element: u32,
+        by: &Corners,
+        secant: Option<f32>,
+    ) -> Corners {
+        let effective = |secant| self.effective[element as usize].times(secant);
+        let answer = secant.map_or(Effective::MATRIX, effective);
         answer.force(simd, self.element(element).1, by)
     }
 

@@ -59,6 +59,15 @@ impl Effective {
         turns: false,
     };
 
+    /// The same answer, this many times as stiff.
+    #[inline(always)]
+    pub(super) fn times(self, secant: f32) -> Self {
+        Self {
+            factor: self.factor * secant,
+            ..self
+        }
+    }
+
     /// Forces in N for these displacements of the corners in m.
     #[inline(always)]
     pub(super) fn force<S: Simd>(self, simd: S, k: &Matrix, by: &Corners) -> Corners {

@@ -50,6 +50,8 @@ mechanisms! {
     Hardening "hardening",
     /// Deferred elements answer with their effective stiffness.
     EffectiveStiffness "effective-stiffness",
+    /// Deferred elements that were refined before answer with their secant stiffness.
+    SecantStiffness "secant-stiffness",
     /// Deferred elements with a large displacement difference are refined.
     StrainLimit "strain-limit",
     /// Strained bricks stay in the active set.

@@ -7,7 +7,7 @@
 //! | `brick`, `kernel`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `hierarchy`, `coarsen`, `element`, `matrix` | coarse lattices and their Galerkin operators, per element |
 //! | `prolongation` | trilinear interpolation between two levels; its transpose restricts |
-//! | `effective_stiffness` | answer of elements that a quick step defers |
+//! | `effective_stiffness`, `secant_stiffness` | answer of elements that a quick step defers |
 //! | `coarse_level`, `cycle`, `outer_residual` | active part of a level, V-cycle, forces outside the active part |
 //! | `contact_stiffness`, `coarse_stiffening` | contacts, held nodes and hardened tissue on the coarse levels |
 //! | `fine_level`, `active_set`, `corrections` | forces on nodes, refinement, coarse corrections |
@@ -85,6 +85,7 @@ mod recoarsen;
 mod reference_state;
 mod reversal;
 mod rigid_aggregation;
+mod secant_stiffness;
 mod settling;
 mod sizes;
 mod smoothing;
