@@ -30,9 +30,9 @@
 //! # Performance
 //!
 //! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine. Cube from rest to 1 %: 6.5 ms with
-//! 8,000 nodes, 45 ms with 64,000. A real thigh of 70,000 nodes pressed at 100 mm/s: 1.2 ms per tick (99 % below
-//! 1.6 ms), force error above 0.5 N 0.6 % rms, 1.3 % at most; withdrawal 1.3 ms (1.9 ms), 0.9 % rms, 1.6 % at most. With
-//! 528,000 nodes: 1.5 ms (2.6 ms), 4 to 15 % rms by place and path; withdrawal 2.2 ms (3.1 ms), 5 to 12 % rms.
+//! 8,000 nodes, 45 ms with 64,000. A real thigh of 70,000 nodes pressed at 100 mm/s: 2.0 ms per tick (99 % below
+//! 3.6 ms), force error 0.6 % of the largest force (rms); withdrawal 2.3 ms (4.1 ms), 1.1 %. With 528,000 nodes: 3.1 ms
+//! (4.2 ms), 0.9 %; withdrawal 3.2 ms (4.3 ms), 4.1 %.
 //!
 //! # Limits
 //!
