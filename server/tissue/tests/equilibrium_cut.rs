@@ -170,3 +170,32 @@ fn solver_follows_tissue_that_parts_from_bone() {
     assert!(lifts(&followed) > 0.1 * MM, "{}", lifts(&followed));
     assert!((lifts(&followed) - lifts(&rebuilt)).abs() < 1e-3 * MM);
 }
+
+#[test]
+fn ball_put_into_a_wound_at_once_finds_its_contacts() {
+    let material = Material {
+        young_pa: 3e3,
+        poisson: 0.45,
+        ..Material::default()
+    };
+    let mut topology = Topology::new(Arc::new(block([20, 20, 10], 4.0 * MM, &material, 1)));
+    let middle = Vec3::new(41.0 * MM, 40.7 * MM, 40.0 * MM);
+    let axis = Vec3::new(0.5, 0.0, 1.0).normalize();
+    let points = (-20..=20).map(|k| BladePoint {
+        tip: middle + MM * Vec3::new(0.0, f64::from(k), 0.0) - 10.0 * MM * axis,
+        axis,
+        depth_m: 16.0 * MM,
+    });
+    let stroke = CutStroke {
+        points: points.collect(),
+        width_m: 0.5 * MM,
+    };
+    cut(&mut topology, &stroke).unwrap();
+    let cut = Tissue::at_rest(topology);
+    for beside in [0.0, 2.7, 4.5] {
+        let centre = middle + MM * Vec3::new(beside, 0.3, -1.0);
+        let mut tissue = cut.another();
+        let report = tissue.step(&[Tool::ball(1, centre, RADIUS)], Budget::new(150, 1e-4));
+        assert!(report.residual <= 1e-4, "{beside} mm: {}", report.residual);
+    }
+}

@@ -25,6 +25,8 @@ pub(crate) struct Contacts {
     /// Nodes of the samples and of the held points, and the position of every node in this list.
     pub(crate) nodes: Vec<u32>,
     place: Vec<u32>,
+    /// Displacements of these nodes when the samples were gathered, in m.
+    gathered_at: Vec<Vec3>,
     /// Whether the shape has changed since the last update of the multipliers.
     pub(crate) is_solved: bool,
     /// Whether the last update of the multipliers changed the force of a tool.
@@ -46,6 +48,7 @@ impl Contacts {
             held: Vec::new(),
             nodes: Vec::new(),
             place: laid_out(NONE, topology.node_count()),
+            gathered_at: Vec::new(),
             is_solved: false,
             is_apart: false,
             is_unsettled: false,
@@ -158,7 +161,16 @@ impl Contacts {
             }
         }
         self.link();
+        let displacements = self.nodes.iter().map(|&node| u[node as usize]);
+        self.gathered_at.extend(displacements);
         lags
+    }
+
+    /// Whether a node has moved by more than `limit` m since the samples were gathered.
+    pub(crate) fn have_moved(&self, u: &[Vec3], limit: f64) -> bool {
+        let moves = self.nodes.iter().zip(&self.gathered_at);
+        let mut lengths = moves.map(|(&node, at)| (u[node as usize] - at).norm());
+        lengths.any(|length| length > limit)
     }
 
     /// Moves a known tool that touches nothing to its target, unless it touches something there. Returns whether it is
@@ -255,6 +267,7 @@ impl Contacts {
     pub(crate) fn forget(&mut self) {
         self.clear();
         (self.nodes, self.samples, self.held) = Default::default();
+        self.gathered_at = Vec::new();
     }
 
     fn clear(&mut self) {
@@ -262,6 +275,7 @@ impl Contacts {
             self.place[node as usize] = NONE;
         }
         self.nodes.clear();
+        self.gathered_at.clear();
         self.samples.clear();
         self.held.clear();
     }
