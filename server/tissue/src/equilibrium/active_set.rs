@@ -81,9 +81,6 @@ impl FineLevel {
         self.outdated = false;
         let grid = &mut coarse.grids[0];
         if !keeps_all {
-            if self.disabled.allows(Mechanism::SecantStiffness) {
-                self.update_secants(hierarchy, grid);
-            }
             let mut refined = std::mem::take(&mut grid.refined);
             refined.retain(|element| self.is_strained(hierarchy, element, u));
             grid.refined = refined;

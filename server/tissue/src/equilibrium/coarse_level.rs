@@ -148,7 +148,8 @@ pub(super) struct CoarseLevel {
     pub(super) has_pending: Vec<bool>,
     /// Square of the largest corner force of each element's pending displacement, in N².
     deferred_square: Vec<f32>,
-    /// Stiffness of each element along its displacement when it was last refined, relative to its effective stiffness.
+    /// Stiffness of each element along its displacement when it was last refined, relative to its effective stiffness; 1
+    /// on levels above 1.
     pub(super) secant: Vec<f32>,
     /// The element that was refined last by rotation.
     last_turn: u32,

@@ -434,8 +434,8 @@ impl WithSimd for Defer<'_> {
 }
 
 impl Level {
-    /// Forces of an element for these corner displacements, in N, by its secant stiffness relative to the effective one, or
-    /// by its matrix.
+    /// Forces of an element for these corner displacements, in N, by `secant` times its effective stiffness, or by its
+    /// matrix.
     #[inline(always)]
     pub(super) fn force<S: Simd>(
         &self,

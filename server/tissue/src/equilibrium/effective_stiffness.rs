@@ -59,11 +59,11 @@ impl Effective {
         turns: false,
     };
 
-    /// The same answer, this many times as stiff.
+    /// This stiffness times a factor.
     #[inline(always)]
-    pub(super) fn times(self, secant: f32) -> Self {
+    pub(super) fn times(self, factor: f32) -> Self {
         Self {
-            factor: self.factor * secant,
+            factor: self.factor * factor,
             ..self
         }
     }

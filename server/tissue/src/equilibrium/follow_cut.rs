@@ -394,6 +394,9 @@ impl CoarseLevel {
         }
         self.stiffness_of.resize(elements, NONE);
         self.grow_pending(elements);
+        for element in change.elements() {
+            self.secant[element as usize] = 1.0;
+        }
         for list in self.element_lists() {
             list.grow(elements);
         }

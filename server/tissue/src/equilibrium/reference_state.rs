@@ -85,6 +85,13 @@ impl ReferenceState {
     }
 }
 
+impl ReferenceState {
+    /// Forces of a brick on its nodes in N.
+    pub(super) fn of_brick(&self, brick: u32) -> &[[f32; LOCALS]; 3] {
+        &self.forces[brick as usize]
+    }
+}
+
 impl Solver {
     pub(crate) fn sag(&self) -> Option<Sag> {
         self.reference_state.as_ref().map(|h| h.sag)
@@ -113,6 +120,7 @@ impl Solver {
         let u = &mut shape.displacement;
         let unmoved = |n: usize| self.fine.fixed[n] || u[n] == Vec3::zeros();
         if !(0..u.len()).all(unmoved) {
+            self.fine.starts_at_reference = false;
             self.fine.disturb_all();
             self.dirty = true;
             return;
@@ -192,6 +200,7 @@ impl FineLevel {
         self.current = false;
         self.outdated = true;
         self.at_reference = true;
+        self.starts_at_reference = true;
         self.displaced = reference_state.map_or(0.0, |h| h.sag.displaced_m);
     }
 }

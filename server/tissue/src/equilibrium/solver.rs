@@ -180,6 +180,7 @@ impl Solver {
             };
             self.fine.displaced = self.fine.displaced.max(u.norm());
             self.fine.at_reference = false;
+            self.fine.starts_at_reference = false;
             self.fine.disturb(&self.hierarchy, node);
         }
         self.dirty = true;
@@ -348,11 +349,9 @@ impl Solver {
             if self.report.iterations > 0 {
                 self.finish(u);
             }
-            if self.uses(Mechanism::WorkLimit) {
-                let elements = self.coarse.grids.iter().map(|p| p.set.items.len());
-                let nodes = self.fine.nodes.items.len();
-                self.work_limit.update(nodes, elements.sum());
-            }
+            let elements = self.coarse.grids.iter().map(|p| p.set.items.len());
+            let nodes = self.fine.nodes.items.len();
+            self.work_limit.update(nodes, elements.sum());
             self.settle(budget.tolerance);
         }
         if !self.held.is_empty() {
@@ -402,6 +401,11 @@ impl Solver {
         let fine = &mut self.fine;
         // Nodes that leave the set keep their forces, which must match their final positions.
         fine.evaluate_bricks(hierarchy, u);
+        if quick && self.report.iterations == 0 && self.disabled.allows(Mechanism::SecantStiffness)
+        {
+            let reference = self.reference_state.as_deref();
+            fine.update_secants(hierarchy, &mut coarse.grids[0], reference);
+        }
         fine.add_contacts(u, &self.contacts, 1.0);
         let criteria = Criteria {
             threshold: limit,
@@ -426,7 +430,11 @@ impl Solver {
         if self.work_limit.leaves_room() && self.uses(Mechanism::Rotation) {
             self.coarse.refine_next(&self.hierarchy);
         }
-        let work_limit = self.work_limit.factor();
+        let work_limit = if self.uses(Mechanism::WorkLimit) {
+            self.work_limit.factor()
+        } else {
+            1.0
+        };
         let deep = usize::from(self.hierarchy.bottoms_out);
         let limit = |mechanism, limit: f32| {
             if self.uses(mechanism) {
