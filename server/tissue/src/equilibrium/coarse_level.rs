@@ -156,6 +156,8 @@ pub(super) struct CoarseLevel {
     /// Forces of the correction `e` on active elements that are not refined.
     pub(super) deferred: Vec<Deferred>,
     pub(super) total: Vec<[f64; 3]>,
+    /// Whether the totals count from the reference state.
+    pub(super) starts_at_reference: bool,
     pub(super) applied: Vec<[f64; 3]>,
     /// Totals that were already prolongated to the whole finer level.
     prolongated: Vec<[f64; 3]>,
@@ -203,6 +205,7 @@ impl CoarseLevel {
             last_turn: 0,
             deferred: Vec::new(),
             total: laid_out([0.0; 3], points),
+            starts_at_reference: true,
             applied: laid_out([0.0; 3], points),
             prolongated: Vec::new(),
             stiffened_elements: Vec::new(),
@@ -225,6 +228,7 @@ impl CoarseLevel {
         }
         self.deferred_residual.fill(ZERO);
         self.total.fill([0.0; 3]);
+        self.starts_at_reference = true;
         self.applied.fill([0.0; 3]);
         self.prolongated.clear();
         self.secant.fill(1.0);

@@ -391,7 +391,7 @@ impl Solver {
         self.fine.disabled = self.disabled;
         self.fine.displaced = displaced;
         self.fine.at_reference = at_reference;
-        self.fine.starts_at_reference = at_reference;
+        self.coarse.grids[0].starts_at_reference = at_reference;
         self.contact_smoother = ContactSmoother::new(&self.hierarchy);
         self.settling = Some(0);
         self.forget_removed(self.fine.fixed.len());

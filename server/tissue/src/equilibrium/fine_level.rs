@@ -97,8 +97,6 @@ pub(super) struct FineLevel {
     pub(super) settled: List,
     /// Whether the shape is still the reference state.
     pub(super) at_reference: bool,
-    /// Whether the totals of level 1 count from the reference state.
-    pub(super) starts_at_reference: bool,
     /// Largest displacement of any node so far in m.
     pub(super) displaced: f64,
     pub(super) move_max: f64,
@@ -162,7 +160,6 @@ impl FineLevel {
             since: SetChange::Replaced,
             settled: List::new(nodes),
             at_reference: true,
-            starts_at_reference: true,
             displaced: 0.0,
             move_max: 0.0,
             longest_move: 0.0,

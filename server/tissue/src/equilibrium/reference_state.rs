@@ -120,7 +120,7 @@ impl Solver {
         let u = &mut shape.displacement;
         let unmoved = |n: usize| self.fine.fixed[n] || u[n] == Vec3::zeros();
         if !(0..u.len()).all(unmoved) {
-            self.fine.starts_at_reference = false;
+            self.coarse.grids[0].starts_at_reference = false;
             self.fine.disturb_all();
             self.dirty = true;
             return;
@@ -200,7 +200,6 @@ impl FineLevel {
         self.current = false;
         self.outdated = true;
         self.at_reference = true;
-        self.starts_at_reference = true;
         self.displaced = reference_state.map_or(0.0, |h| h.sag.displaced_m);
     }
 }

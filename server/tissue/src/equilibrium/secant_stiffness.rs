@@ -36,7 +36,7 @@ impl FineLevel {
         reference: Option<&ReferenceState>,
     ) {
         // Forces and totals from different states have no common work.
-        if !self.starts_at_reference {
+        if !grid.starts_at_reference {
             return;
         }
         let level = &hierarchy.levels[0];

@@ -180,7 +180,7 @@ impl Solver {
             };
             self.fine.displaced = self.fine.displaced.max(u.norm());
             self.fine.at_reference = false;
-            self.fine.starts_at_reference = false;
+            self.coarse.grids[0].starts_at_reference = false;
             self.fine.disturb(&self.hierarchy, node);
         }
         self.dirty = true;
