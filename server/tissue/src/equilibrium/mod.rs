@@ -30,9 +30,9 @@
 //! # Performance
 //!
 //! `palpate-lab bench press-cube` and `press-scene`, one thread of a shared machine. Cube from rest to 1 %: 6.5 ms with
-//! 8,000 nodes, 45 ms with 64,000. A real thigh of 70,000 nodes pressed at 100 mm/s: 2.0 ms per tick (99 % below
-//! 3.6 ms), force error 0.6 % of the largest force (rms); withdrawal 2.3 ms (4.1 ms), 1.1 %. With 528,000 nodes: 3.1 ms
-//! (4.2 ms), 0.9 %; withdrawal 3.2 ms (4.3 ms), 4.1 %.
+//! 8,000 nodes, 45 ms with 64,000. A real thigh of 70,000 nodes pressed at 100 mm/s: 1.9 ms per tick (99 % below
+//! 3.1 ms), force error 0.7 % of the largest force (rms); withdrawal 2.1 ms (3.7 ms), 0.8 %. With 528,000 nodes: 2.9 ms
+//! (3.8 ms), 1.5 %; withdrawal 3.0 ms (4.1 ms), 4.1 %.
 //!
 //! # Limits
 //!

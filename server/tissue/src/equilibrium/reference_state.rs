@@ -83,9 +83,7 @@ impl ReferenceState {
             forces: solver.fine.forces,
         }))
     }
-}
 
-impl ReferenceState {
     /// Forces of a brick on its nodes in N.
     pub(super) fn of_brick(&self, brick: u32) -> &[[f32; LOCALS]; 3] {
         &self.forces[brick as usize]
