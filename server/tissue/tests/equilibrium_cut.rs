@@ -171,14 +171,10 @@ fn solver_follows_tissue_that_parts_from_bone() {
     assert!((lifts(&followed) - lifts(&rebuilt)).abs() < 1e-3 * MM);
 }
 
+/// Contacts change and corners collapse within a step: without repeated searches and without an adapted bound of the
+/// smoother such solves end in limit cycles.
 #[test]
-fn ball_put_into_a_wound_at_once_finds_its_contacts() {
-    let material = Material {
-        young_pa: 3e3,
-        poisson: 0.45,
-        ..Material::default()
-    };
-    let mut topology = Topology::new(Arc::new(block([20, 20, 10], 4.0 * MM, &material, 1)));
+fn ball_put_into_a_wound_at_once_converges() {
     let middle = Vec3::new(41.0 * MM, 40.7 * MM, 40.0 * MM);
     let axis = Vec3::new(0.5, 0.0, 1.0).normalize();
     let points = (-20..=20).map(|k| BladePoint {
@@ -190,12 +186,34 @@ fn ball_put_into_a_wound_at_once_finds_its_contacts() {
         points: points.collect(),
         width_m: 0.5 * MM,
     };
-    cut(&mut topology, &stroke).unwrap();
-    let cut = Tissue::at_rest(topology);
-    for beside in [0.0, 2.7, 4.5] {
-        let centre = middle + MM * Vec3::new(beside, 0.3, -1.0);
-        let mut tissue = cut.another();
-        let report = tissue.step(&[Tool::ball(1, centre, RADIUS)], Budget::new(150, 1e-4));
-        assert!(report.residual <= 1e-4, "{beside} mm: {}", report.residual);
+    // Place of the ball beside and along the wound, and its depth, in mm.
+    let springs = [[0.0, 0.3, 6.0], [0.9, 0.3, 9.0], [3.6, 2.2, 9.0]];
+    let nearly_incompressible = [
+        [0.0, 0.3, 9.0],
+        [2.7, 0.3, 9.0],
+        [4.5, 0.3, 9.0],
+        [-0.9, 2.2, 9.0],
+    ];
+    for (poisson, places) in [(0.25, &springs[..]), (0.45, &nearly_incompressible[..])] {
+        let material = Material {
+            young_pa: 3e3,
+            poisson,
+            ..Material::default()
+        };
+        let model = block([20, 20, 10], 4.0 * MM, &material, 1);
+        let mut topology = Topology::new(Arc::new(model));
+        cut(&mut topology, &stroke).unwrap();
+        let cut = Tissue::at_rest(topology);
+        for &[beside, along, depth] in places {
+            let centre = middle + MM * Vec3::new(beside, along, 8.0 - depth);
+            let mut tissue = cut.another();
+            let report = tissue.step(&[Tool::ball(1, centre, RADIUS)], Budget::new(150, 1e-4));
+            assert!(
+                report.residual <= 1e-4,
+                "{poisson} {beside} mm: {} after {}",
+                report.residual,
+                report.iterations
+            );
+        }
     }
 }

@@ -6,6 +6,7 @@
 use super::coarse_level::List;
 use super::fine_level::FineLevel;
 use super::hierarchy::Hierarchy;
+use super::smoothing::EigenvalueBound;
 use crate::Vec3;
 use crate::contact::Contacts;
 
@@ -74,7 +75,7 @@ impl FineLevel {
         smoother.gather(hierarchy, self, contacts);
         // The diagonal blocks are those of the last smoothing, after the correction. Older blocks made the iteration
         // diverge where tissue had stiffened.
-        let mut factors = hierarchy.smoothing.factors();
+        let mut factors = hierarchy.smoothing.factors(EigenvalueBound::BLOCKS);
         for _ in 0..steps {
             self.compute(hierarchy, u, &smoother.bricks.items);
             for &node in &smoother.nodes {

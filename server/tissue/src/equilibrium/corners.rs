@@ -85,17 +85,10 @@ fn sum<S: Simd>(a: [V<S>; 3], b: [V<S>; 3]) -> [V<S>; 3] {
 }
 
 impl<S: Simd> Corner<S> {
-    /// Evaluates a corner of the cells whose first nodes start at `from`, as if it had lost a further fraction `nearer`
-    /// of its volume at rest and, as far as it is flatter at rest than a cube's, the fraction `more` of a cube's volume.
+    /// Evaluates a corner of the cells whose first nodes start at `from`, as if it had lost a `further` fraction
+    /// of its volume at rest.
     #[inline(always)]
-    fn of(
-        simd: S,
-        form: &Form,
-        u: &Local,
-        which: usize,
-        from: usize,
-        [nearer, more]: [f32; 2],
-    ) -> Self {
+    fn of(simd: S, form: &Form, u: &Local, which: usize, from: usize, further: f32) -> Self {
         let at = [
             from + start(which, 0),
             from + start(which, 1),
@@ -115,9 +108,7 @@ impl<S: Simd> Corner<S> {
         let whole = dot(&rest[0], &cross(&rest[1], &rest[2]));
         let unit = whole.max(V::all(simd, form.cell_volume));
         let at_rest = whole / unit;
-        let further =
-            V::all(simd, nearer) * at_rest + V::all(simd, more) * (V::all(simd, 1.0) - at_rest);
-        let kept = dot(&now[0], &first) / unit - further;
+        let kept = dot(&now[0], &first) / unit - V::all(simd, further) * at_rest;
         let lost = V::all(simd, KEPT) * at_rest - kept;
         let modulus = V::load(simd, &form.corner, from);
         let modulus = whole.where_above_zero(lost.where_above_zero(modulus));
@@ -182,7 +173,7 @@ pub(crate) fn corner_forces<S: Simd>(simd: S, form: &Form, u: &Local, f: &mut Lo
         let mut any = false;
         let mut from = 0;
         while from < LANES {
-            let corner = Corner::of(simd, form, u, which, from, [0.0; 2]);
+            let corner = Corner::of(simd, form, u, which, from, 0.0);
             if corner.modulus.any_above_zero() {
                 any = true;
                 let push = corner.push(simd);
@@ -215,7 +206,6 @@ pub(crate) fn corner_tangents<S: Simd>(
     form: &Form,
     u: &Local,
     per_spacing: f32,
-    allowance: f32,
     m: &mut LocalBlocks,
 ) {
     let zero = V::all(simd, 0.0);
@@ -226,7 +216,7 @@ pub(crate) fn corner_tangents<S: Simd>(
         let mut any = false;
         let mut from = 0;
         while from < LANES {
-            let corner = Corner::of(simd, form, u, which, from, [MARGIN, allowance]);
+            let corner = Corner::of(simd, form, u, which, from, MARGIN);
             if corner.modulus.any_above_zero() {
                 any = true;
                 let turning = V::all(simd, NODES) * corner.push(simd) * spacing;

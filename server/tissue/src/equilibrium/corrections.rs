@@ -5,14 +5,11 @@ use super::cycle::{Chebyshev, Multigrid};
 use super::fine_level::{FineLevel, SetChange};
 use super::hierarchy::Hierarchy;
 use super::quad::{ZERO, plus};
-use super::stabilisation::MARGIN;
 use crate::Vec3;
 
 /// Longest move of a node in one smoothing step, in spacings; longer ones are clamped and counted. Quick steps compute
 /// the blocks once per iteration, and tissue that bottoms out hardens within the smoothing steps.
 const MOVE_MAX: [f64; 2] = [0.5, 0.02];
-/// Least part of the allowance for moves that a smoothing leaves to the next one.
-const CALMING: f32 = 0.5;
 
 impl FineLevel {
     /// Restricts the forces on the nodes of the set to level 1.
@@ -219,7 +216,6 @@ impl FineLevel {
                 by *= self.move_max / length;
                 self.clamped += 1;
             }
-            self.longest_move = self.longest_move.max(length);
             self.shift(u, node, by);
         }
     }
@@ -235,17 +231,5 @@ impl FineLevel {
     pub(super) fn limit_moves(&mut self, hierarchy: &Hierarchy, near: bool) {
         let short = near && hierarchy.bottoms_out;
         self.move_max = MOVE_MAX[usize::from(short)] / f64::from(hierarchy.per_spacing);
-    }
-
-    /// Starts a step: the blocks of a full solve first allow for any move. Quick steps limit moves instead.
-    pub(super) fn reset_allowance(&mut self, quick: bool) {
-        self.allowance = if quick { 0.0 } else { MARGIN };
-        self.longest_move = 0.0;
-    }
-
-    /// Ends a smoothing: the blocks of flat corners allow for moves like those of this one.
-    pub(super) fn update_allowance(&mut self, hierarchy: &Hierarchy) {
-        let moved = std::mem::take(&mut self.longest_move) as f32 * hierarchy.per_spacing;
-        self.allowance = moved.max(self.allowance * CALMING).min(MARGIN);
     }
 }

@@ -35,8 +35,8 @@ pub(super) struct Chebyshev {
 }
 
 impl Chebyshev {
-    pub(super) fn new(low: f32) -> Self {
-        let (theta, delta) = (0.5 * (1.0 + low), 0.5 * (1.0 - low));
+    pub(super) fn new(low: f32, bound: f32) -> Self {
+        let (theta, delta) = (0.5 * bound * (1.0 + low), 0.5 * bound * (1.0 - low));
         Self {
             theta,
             delta,
@@ -484,7 +484,7 @@ fn smooth<S: Simd>(
     low: f32,
     keep: bool,
 ) {
-    let mut factors = Chebyshev::new(low);
+    let mut factors = Chebyshev::new(low, 1.0);
     for step in 1..=steps {
         let (last, new) = factors.next();
         for &point in &grid.points.items {

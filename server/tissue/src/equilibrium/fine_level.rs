@@ -100,10 +100,6 @@ pub(super) struct FineLevel {
     /// Largest displacement of any node so far in m.
     pub(super) displaced: f64,
     pub(super) move_max: f64,
-    /// Longest move of a node in this smoothing in m.
-    pub(super) longest_move: f64,
-    /// Further loss of volume that blocks of flat corners allow for, in parts of a cube's.
-    pub(super) allowance: f32,
     pub(super) clamped: usize,
     /// Bricks computed in this step.
     pub(super) visits: usize,
@@ -162,8 +158,6 @@ impl FineLevel {
             at_reference: true,
             displaced: 0.0,
             move_max: 0.0,
-            longest_move: 0.0,
-            allowance: 0.0,
             clamped: 0,
             visits: 0,
             blocks: laid_out([0.0; 6], nodes),

@@ -71,7 +71,6 @@ impl FineLevel {
         }
     }
 
-    /// Blocks of a brick at rest allow for no moves, because they are kept for every later step.
     fn tangents(
         &mut self,
         hierarchy: &Hierarchy,
@@ -83,7 +82,6 @@ impl FineLevel {
             form: &hierarchy.forms[brick.form as usize],
             u,
             per_spacing: hierarchy.per_spacing,
-            allowance: u.map_or(0.0, |_| self.allowance),
             scratch: &mut self.block_scratch,
         })
     }

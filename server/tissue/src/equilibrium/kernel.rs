@@ -90,8 +90,6 @@ pub(crate) struct Tangents<'a> {
     /// Displacements of all nodes in m, or at rest.
     pub(crate) u: Option<&'a [Vec3]>,
     pub(crate) per_spacing: f32,
-    /// Further loss of volume that blocks of flat corners allow for, in parts of a cube's.
-    pub(crate) allowance: f32,
     pub(crate) scratch: &'a mut Ends<6>,
 }
 
@@ -108,7 +106,7 @@ impl WithSimd for Tangents<'_> {
         let mut m = if form.curve.held {
             let (mut m, strained) = stabilised_tangents(simd, form, &local, per_spacing, scratch);
             if strained || form.skewed {
-                corner_tangents(simd, form, &local, per_spacing, self.allowance, &mut m);
+                corner_tangents(simd, form, &local, per_spacing, &mut m);
             }
             m
         } else {

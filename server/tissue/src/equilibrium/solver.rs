@@ -15,6 +15,7 @@ use super::hierarchy::Hierarchy;
 use super::mechanism::{Disabled, Mechanism};
 use super::quad::reserve;
 use super::reference_state::ReferenceState;
+use super::smoothing::EigenvalueBound;
 use super::work_limit::WorkLimit;
 use crate::contact::{Contacts, Tool};
 use crate::{Shape, Topology, Vec3};
@@ -272,7 +273,6 @@ impl Solver {
         }
         self.coarse.follows = self.contacts.proxies.is_empty();
         self.fine.limit_moves(&self.hierarchy, quick);
-        self.fine.reset_allowance(quick);
         let mut share = INITIAL_THRESHOLD;
         let jumped = lags;
         // The contact stiffness on the coarse levels belongs to earlier contacts.
@@ -284,6 +284,7 @@ impl Solver {
         let first = (jumped || touches) && self.uses(Mechanism::FirstTouch);
         let due = if first { DUE } else { 1 };
         let mut smoothing = None;
+        let mut bound = EigenvalueBound::BLOCKS;
         let fades = quick && self.uses(Mechanism::FadingReference);
         let recent = if fades { FADE * self.reference } else { 0.0 };
         loop {
@@ -328,9 +329,10 @@ impl Solver {
                 outdated = false;
             }
             self.correct(u, share * allowed, quick);
-            smoothing = Some(self.smooth(u));
+            let (factors, residuals) = self.smooth(u, bound);
+            smoothing = Some(factors);
             if !quick {
-                self.fine.update_allowance(&self.hierarchy);
+                bound.follow(residuals);
             }
             let limit = SEARCH_AGAIN * topology.model().spacing_m;
             if lags || !quick && self.contacts.have_moved(u, limit) {
@@ -534,20 +536,22 @@ impl Solver {
     }
 
     /// Stage: smoothing on the nodes. All steps are made: they form one Chebyshev polynomial, and a part of it can
-    /// amplify the residual.
-    fn smooth(&mut self, u: &mut [Vec3]) -> Chebyshev {
+    /// amplify the residual. Returns the sums of squares of the residual after the first step and before the last one.
+    fn smooth(&mut self, u: &mut [Vec3], bound: EigenvalueBound) -> (Chebyshev, [f64; 2]) {
         // The blocks must belong to the corrected displacements: older blocks overshoot where pressed tissue snaps
         // through.
         let (hierarchy, contacts) = (&self.hierarchy, &self.contacts);
         self.fine.update_blocks(hierarchy, u, contacts);
-        let mut factors = self.hierarchy.smoothing.factors();
+        let mut factors = self.hierarchy.smoothing.factors(bound);
+        let mut residuals = [0.0; 2];
         for s in 0..self.hierarchy.smoothing.steps {
             if s > 0 {
                 self.fine.evaluate_bricks(&self.hierarchy, u);
                 self.fine.add_contacts_and_blocks(u, &self.contacts);
+                residuals[usize::from(s > 1)] = self.fine.square_over_unfixed();
             }
             self.fine.relax_set(u, &mut factors);
         }
-        factors
+        (factors, residuals)
     }
 }

@@ -77,7 +77,6 @@ fn same_bits(brick: &Brick, form: &Form, u: &[Vec3]) {
             form,
             u: Some(u),
             per_spacing: 250.0,
-            allowance: 0.0,
             scratch,
         };
         let m = if wide {
@@ -151,7 +150,6 @@ fn corners_flat_at_rest_add_nothing_to_the_blocks_at_rest() {
             form,
             u: None,
             per_spacing: 250.0,
-            allowance: 0.0,
             scratch,
         }
         .with_simd(Scalar)
@@ -184,7 +182,6 @@ fn has_a_potential(brick: &Brick, form: &Form, u: &[Vec3]) {
         form,
         u: Some(u),
         per_spacing: 250.0,
-        allowance: 0.0,
         scratch: &mut Ends::new(),
     });
     for row in &forces(brick, form, u) {
