@@ -26,6 +26,9 @@ pub(crate) const REACH: f64 = 2.0;
 const LOST: f64 = 0.5;
 /// Depth, relative to the maximum travel, at which the proxy waits for the tissue to yield.
 const WAIT: f64 = 0.5;
+/// Distance in radii from the surface below which the middle of a new tool counts as inside. Beside it the surface does not
+/// face the middle, so a ball that appeared as deep as its radius found no contact.
+const BESIDE: f64 = 0.25;
 
 /// State of a tool between steps.
 #[derive(Clone)]
@@ -245,7 +248,7 @@ impl Proxy {
         }
     }
 
-    /// Places a new tool at its pose, or outside the surface if it is inside. The surface is searched up to `reach` m from
+    /// Places a new tool at its pose, or outside the surface if its middle is inside. The surface is searched up to `reach` m from
     /// each point.
     fn place(&mut self, surface: &Surface<'_>, reach: f64) {
         self.placed = true;
@@ -259,7 +262,8 @@ impl Proxy {
                 continue;
             };
             let away = at - foot.at;
-            if away.dot(&foot.normal) < 0.0 {
+            let is_inside = away.dot(&foot.normal) < 0.0;
+            if is_inside || away.norm() < BESIDE * self.target.radius_m {
                 let to = foot.at + foot.normal * self.target.radius_m;
                 let way = (to - at).norm();
                 if way > out.0 {
