@@ -210,7 +210,7 @@ fn ball_put_into_a_wound_at_once_converges() {
             let report = tissue.step(&[Tool::ball(1, centre, RADIUS)], Budget::new(150, 1e-4));
             assert!(
                 report.residual <= 1e-4,
-                "{poisson} {beside} mm: {} after {}",
+                "{poisson} {beside} {along} {depth} mm: {} after {}",
                 report.residual,
                 report.iterations
             );

@@ -57,7 +57,7 @@ impl Bench {
     }
 }
 
-/// Also with its middle in the plane of the surface, which then nowhere faces the middle.
+/// The law holds for a middle in the plane of the surface too, which does not face it.
 #[test]
 fn ball_that_appears_in_tissue_has_the_force_of_one_that_was_lowered() {
     let cells = [16, 16, 10];

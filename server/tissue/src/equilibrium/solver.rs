@@ -329,11 +329,7 @@ impl Solver {
                 outdated = false;
             }
             self.correct(u, share * allowed, quick);
-            let (factors, residuals) = self.smooth(u, bound);
-            smoothing = Some(factors);
-            if !quick {
-                bound.follow(residuals);
-            }
+            smoothing = Some(self.smooth(u, (!quick).then_some(&mut bound)));
             let limit = SEARCH_AGAIN * topology.model().spacing_m;
             if lags || !quick && self.contacts.have_moved(u, limit) {
                 lags = self.gather(topology, u);
@@ -536,22 +532,31 @@ impl Solver {
     }
 
     /// Stage: smoothing on the nodes. All steps are made: they form one Chebyshev polynomial, and a part of it can
-    /// amplify the residual. Returns the sums of squares of the residual after the first step and before the last one.
-    fn smooth(&mut self, u: &mut [Vec3], bound: EigenvalueBound) -> (Chebyshev, [f64; 2]) {
+    /// amplify the residual. Adapts the bound, if there is one.
+    fn smooth(&mut self, u: &mut [Vec3], bound: Option<&mut EigenvalueBound>) -> Chebyshev {
         // The blocks must belong to the corrected displacements: older blocks overshoot where pressed tissue snaps
         // through.
         let (hierarchy, contacts) = (&self.hierarchy, &self.contacts);
         self.fine.update_blocks(hierarchy, u, contacts);
-        let mut factors = self.hierarchy.smoothing.factors(bound);
+        let blocks = EigenvalueBound::BLOCKS;
+        let mut factors = self
+            .hierarchy
+            .smoothing
+            .factors(*bound.as_deref().unwrap_or(&blocks));
         let mut residuals = [0.0; 2];
         for s in 0..self.hierarchy.smoothing.steps {
             if s > 0 {
                 self.fine.evaluate_bricks(&self.hierarchy, u);
                 self.fine.add_contacts_and_blocks(u, &self.contacts);
-                residuals[usize::from(s > 1)] = self.fine.square_over_unfixed();
+                if bound.is_some() {
+                    residuals[usize::from(s > 1)] = self.fine.square_over_unfixed();
+                }
             }
             self.fine.relax_set(u, &mut factors);
         }
-        (factors, residuals)
+        if let Some(bound) = bound {
+            bound.follow(residuals);
+        }
+        factors
     }
 }
