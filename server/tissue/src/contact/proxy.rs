@@ -26,10 +26,6 @@ pub(crate) const REACH: f64 = 2.0;
 const LOST: f64 = 0.5;
 /// Depth, relative to the maximum travel, at which the proxy waits for the tissue to yield.
 const WAIT: f64 = 0.5;
-/// Distance in radii from the surface below which a placed tool starts outside even if its middle is outside: tissue in the
-/// plane of the middle does not face it and gives no contact. (With the middle 0.0125 radii above the surface a quick step
-/// found half of the force, 0.125 radii above it 98 %.)
-const BESIDE: f64 = 0.1;
 
 /// State of a tool between steps.
 #[derive(Clone)]
@@ -249,7 +245,7 @@ impl Proxy {
         }
     }
 
-    /// Places a tool at its pose, or outside the surface if its middle is inside or [beside](BESIDE) it. The surface is searched up to `reach` m from
+    /// Places a new tool at its pose, or outside the surface if it is inside. The surface is searched up to `reach` m from
     /// each point.
     fn place(&mut self, surface: &Surface<'_>, reach: f64) {
         self.placed = true;
@@ -263,15 +259,8 @@ impl Proxy {
                 continue;
             };
             let away = at - foot.at;
-            let is_inside = away.dot(&foot.normal) < 0.0;
-            let to = foot.at + foot.normal * self.target.radius_m;
-            let is_beside = || {
-                // In a narrow wound the opposite lip is there.
-                let is_free = |foot: Foot| (to - foot.at).dot(&foot.normal) > 0.0;
-                away.norm() < BESIDE * self.target.radius_m
-                    && surface.nearest(to, reach).is_none_or(is_free)
-            };
-            if is_inside || is_beside() {
+            if away.dot(&foot.normal) < 0.0 {
+                let to = foot.at + foot.normal * self.target.radius_m;
                 let way = (to - at).norm();
                 if way > out.0 {
                     out = (way, to + (self.at - at));
