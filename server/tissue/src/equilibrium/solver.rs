@@ -538,11 +538,9 @@ impl Solver {
         // through.
         let (hierarchy, contacts) = (&self.hierarchy, &self.contacts);
         self.fine.update_blocks(hierarchy, u, contacts);
-        let blocks = EigenvalueBound::BLOCKS;
-        let mut factors = self
-            .hierarchy
-            .smoothing
-            .factors(*bound.as_deref().unwrap_or(&blocks));
+        let range = bound.as_deref().copied();
+        let range = range.unwrap_or(EigenvalueBound::BLOCKS);
+        let mut factors = self.hierarchy.smoothing.factors(range);
         let mut residuals = [0.0; 2];
         for s in 0..self.hierarchy.smoothing.steps {
             if s > 0 {
