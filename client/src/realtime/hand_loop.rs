@@ -35,6 +35,8 @@ pub struct Frame {
     /// Sample of the device. After a failed or NaN reading it is the last good sample, with
     /// [`Faults::UNTRUSTED_POSE`].
     pub sample: Sample,
+    /// Whether the device has given a good sample yet. Until then `sample` is no pose of it.
+    pub is_measured: bool,
     /// Wrench written to the device; zero for one that renders no force.
     pub wrench: Wrench,
     /// Contact force on the tool, for display: see [`Tick::felt`].
@@ -55,6 +57,7 @@ impl Frame {
         Self {
             time: now,
             sample: Sample::resting(device_time(now), Pose::default()),
+            is_measured: false,
             wrench: Wrench::ZERO,
             felt: Wrench::ZERO,
             proxy_offset: Vector3::zeros(),
@@ -220,6 +223,7 @@ impl HandLoop {
                 faults: last.faults.with(Faults::UNTRUSTED_POSE),
                 ..last
             }),
+            is_measured: good.is_some() || self.last.is_measured,
             wrench: tick.wrench,
             felt: tick.felt,
             proxy_offset: tick.proxy_offset,

@@ -362,6 +362,10 @@ impl ReplicaLoop {
             return;
         };
         let frame = *hand.newest.read();
+        if !frame.is_measured {
+            // A tool at the origin could touch the tissue there.
+            return;
+        }
         let (began, at_first) = (monotonic_now(), worked());
         let mut stop = || worked() - at_first > HAPTIC_PERIOD;
         let sample = &frame.sample;
@@ -405,8 +409,8 @@ impl ReplicaLoop {
             let every = self.inputs.record_every;
             let is_recorded = every.is_some_and(|n| frame.k % n == 0);
             if let Some(page) = &self.inputs.page {
-                let hand = self.inputs.hand.as_mut();
-                page.show_tools(&frame, hand.map(|hand| hand.newest.read()));
+                let hand = self.inputs.hand.as_mut().map(|hand| hand.newest.read());
+                page.show_tools(&frame, hand.filter(|hand| hand.is_measured));
             }
             helpers.view.order(Order::Show(frame, is_recorded));
         }

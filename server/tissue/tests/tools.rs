@@ -57,6 +57,25 @@ impl Bench {
     }
 }
 
+/// The law holds for a middle in the plane of the surface too, which does not face it.
+#[test]
+fn ball_that_appears_in_tissue_has_the_force_of_one_that_was_lowered() {
+    let cells = [16, 16, 10];
+    let radius = 8.0 * MM;
+    let at = Tool::ball(
+        1,
+        Vec3::new(33.0 * MM, 30.5 * MM, 10.0 * D + radius),
+        radius,
+    );
+    for depth in [5.0 * MM, 7.9 * MM, radius, 8.1 * MM] {
+        let lowered = Bench::new(cells).lower(at, depth).force;
+        let centre = at.centre - Vec3::z() * depth;
+        let appeared = Bench::new(cells).press(Tool { centre, ..at }).force;
+        let error = (appeared - lowered).norm() / lowered.norm();
+        assert!(error < 1e-3, "{depth} m: {appeared} {lowered}");
+    }
+}
+
 /// A line along x through the pivot, or beside it by `offset`, whose lower side is at `z`.
 fn needle(pivot: Vec3, offset: f64, half: f64, radius: f64) -> Tool {
     let mid = Vec3::x() * offset;

@@ -249,10 +249,22 @@ impl Contacts {
     /// Updates the penetration depth and the gap of each proxy, so that no proxy outruns the tissue.
     fn update_penetration(&mut self, u: &[Vec3]) {
         let mut nearest = vec![f64::NEG_INFINITY; self.proxies.len()];
+        let mut pushes = vec![[Vec3::zeros(); 2]; self.proxies.len()];
         for sample in &self.samples {
             let (v, radius) = self.offset(sample, u);
             let nearest = &mut nearest[sample.proxy as usize];
             *nearest = nearest.max(depth(v, radius).0);
+            let (pressed, n) = self.force_over_stiffness(sample, u);
+            if pressed > 0.0 {
+                let force = n * (-sample.stiffness * pressed);
+                let at = self.proxies[sample.proxy as usize].at;
+                let push = &mut pushes[sample.proxy as usize];
+                push[0] += force;
+                push[1] += (sample.position(u) - at).cross(&force);
+            }
+        }
+        for (proxy, [force, torque]) in self.proxies.iter_mut().zip(pushes) {
+            proxy.note_push(force, torque);
         }
         let retreats = self.disabled.allows(Mechanism::RetreatSearch);
         for (proxy, nearest) in self.proxies.iter_mut().zip(nearest) {
