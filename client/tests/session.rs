@@ -31,7 +31,11 @@ fn a_session_is_joined_felt_recorded_and_left() {
         (2, 1, 1)
     );
     assert!(summary.ticks > 0 && summary.haptic_solves > 0 && summary.view_solves > 0);
-    assert!(summary.force_max_n > 0.0 && summary.rtt_ms.is_some());
+    // The press of the script is felt with 0.34 N; a tool that is stuck elsewhere with a millionth of that.
+    assert!(
+        summary.force_max_n > 0.1 && summary.rtt_ms.is_some(),
+        "{summary}"
+    );
     assert_eq!(summary.compensation_ms, 30.0);
     let recording = read(&record);
     assert_eq!((recording.name.as_str(), recording.participant), ("Ada", 1));
@@ -265,9 +269,11 @@ fn a_device_in_use_joins_without_a_script() {
         let summary = palpate_client::run(&options).unwrap();
         assert_eq!(summary.device, called);
         assert!(summary.ticks > 0, "{summary}");
-        assert_eq!(summary.events.bad_samples, 0, "{summary}");
-        // The stand-in's servo thread misses a few readings on a busy machine.
-        assert!(summary.events.faulted * 10 < summary.ticks, "{summary}");
+        assert_eq!(
+            (summary.events.faulted, summary.events.bad_samples),
+            (0, 0),
+            "{summary}"
+        );
         fake.stop();
     }
 }

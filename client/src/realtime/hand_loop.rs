@@ -415,8 +415,7 @@ mod tests {
     }
 
     impl Run {
-        /// Two seconds into a contact of 6 N that another tool presses against this one.
-        fn pressed() -> Self {
+        fn new() -> Self {
             let script = Script::resting_probe(Vector3::zeros(), 0.004).unwrap();
             let caps = SimHand::new(script, ScriptStart::not_yet()).caps().clone();
             let orders: Arc<Mutex<Orders>> = Arc::default();
@@ -426,6 +425,12 @@ mod tests {
             let hand = HandLoop::new(device, chain, MS, ClientTime::from_micros(us));
             let mut run = Self { hand, orders, us };
             run.hand.begin();
+            run
+        }
+
+        /// Two seconds into a contact of 6 N that another tool presses against this one.
+        fn pressed() -> Self {
+            let mut run = Self::new();
             for _ in 0..2000 {
                 run.turn();
             }
@@ -509,6 +514,17 @@ mod tests {
         assert!(step <= 0.6 + 1e-9, "a step of {step} N");
         assert!((run.renders() - 6.0).abs() < 1e-9, "{} N", run.renders());
         assert_eq!(run.hand.counts().cuts, 1);
+    }
+
+    #[test]
+    fn frame_is_measured_from_the_first_good_pose_on() {
+        let mut run = Run::new();
+        run.orders.lock().unwrap().astray = f64::NAN;
+        assert!(!run.turn().frame.is_measured);
+        run.orders.lock().unwrap().astray = 0.0;
+        assert!(run.turn().frame.is_measured);
+        run.orders.lock().unwrap().astray = f64::NAN;
+        assert!(run.turn().frame.is_measured);
     }
 
     #[test]
