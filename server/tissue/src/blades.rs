@@ -51,6 +51,7 @@ fn reaction(tool: u32, blade: &BladePoint, edge: &EdgeResistance) -> Reaction {
         friction_dynamic: 0.0,
         force_error: 0.0,
         at: blade.tip,
+        lag_m: 0.0,
         turn: UnitQuaternion::identity(),
         contact_patches: vec![ContactPatch {
             number: 0,

@@ -11,11 +11,11 @@ use strokes::random_stroke::{pieces, random_stroke};
 
 /// Hash of a press into a block of 14 thousand cells with a volume term and stiffening springs. It changes only
 /// with the force law or the solver, and then on every machine.
-const GOLDEN: u64 = 0x870a_5f8e_32f5_4bf6;
+const GOLDEN: u64 = 0xd4d2_af19_63f6_bb9b;
 
 /// Hashes of the topology after random strokes in parts, an undo and a redo, and of the shape under a ball. They change
 /// only with the rules of cuts or the solver.
-const GOLDEN_CUT: [u64; 2] = [0xc9e4_9115_1f09_c9af, 0xc000_7c4d_3e9e_7767];
+const GOLDEN_CUT: [u64; 2] = [0xc9e4_9115_1f09_c9af, 0xdd94_d4c6_ceaa_4d3b];
 
 fn press(threads: usize) -> u64 {
     let material = Material {

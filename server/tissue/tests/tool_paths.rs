@@ -25,8 +25,12 @@ fn tissue() -> Tissue {
     ))))
 }
 
+/// The budget of a hand.
 fn quick() -> Budget<'static> {
-    Budget::new(2, 1e-3)
+    Budget {
+        near: true,
+        ..Budget::new(4, 2e-2)
+    }
 }
 
 /// Moves a tool in quick steps, at once or at the speed of a hand.
@@ -64,6 +68,33 @@ fn tool() -> impl Strategy<Value = Tool> {
         let form = form.unwrap_or(ball.form);
         Tool { form, ..ball }
     })
+}
+
+/// A ball of less than a spacing, pushed into soft tissue until it meets what does not yield: where it passed through the surface
+/// it would move inside the tissue without force.
+#[test]
+fn small_ball_that_is_pushed_deep_stays_in_contact() {
+    let fat = Material::built_in("fat").unwrap();
+    let topology = Topology::new(Arc::new(block([12, 12, 12], SPACING, &fat, 1)));
+    for (radius, x) in [
+        (2e-3, 24.0e-3),
+        (3e-3, 25.3e-3),
+        (3e-3, 22.6e-3),
+        (6e-3, 24.4e-3),
+    ] {
+        let mut tissue = Tissue::at_rest(topology.clone());
+        let mut without = 0;
+        for k in 1..=100 {
+            let depth = 4e-4 * f64::from(k);
+            let at = Vec3::new(x, 23.1e-3, 12.0 * SPACING + radius - depth);
+            let force = tissue.step(&[Tool::ball(1, at, radius)], quick()).reactions[0].force;
+            without += usize::from(force.norm() < 1e-3);
+        }
+        assert!(
+            without <= 2,
+            "{radius} m at {x} m: {without} steps without force"
+        );
+    }
 }
 
 proptest! {

@@ -17,7 +17,8 @@ pub(super) const DAMPING_S: f64 = 1e-3;
 pub(super) const DAMPING_MAX_NS_PER_M: f64 = 2.0;
 
 /// Contact model of a tool with these parts, which share its pivot. The linear law is centred where the solver
-/// computed the forces: at the tool, unless the tool jumped and the proxy still follows.
+/// computed the forces: at the proxy. Where the tissue has yet to yield to the tool, as bone never does, the law also
+/// holds at the tool.
 pub(crate) fn contact_model(
     now: ClientTime,
     topology_version: u32,
@@ -27,10 +28,11 @@ pub(crate) fn contact_model(
     let Some(first) = parts.iter().find(|r| r.contacts > 0) else {
         return free;
     };
+    let lag_m = parts.iter().map(|r| r.lag_m).fold(0.0, f64::max);
     let mut model = ContactModel {
         x0: first.at,
         turn0: first.turn,
-        radius: MODEL_RADIUS_M,
+        radius: MODEL_RADIUS_M + lag_m,
         ..free
     };
     // The contact points of a tool of two parts: the first half belongs to the first part.
@@ -142,6 +144,7 @@ mod tests {
             friction_dynamic: 0.3,
             force_error: 0.0,
             at: Vec3::new(0.1, 0.2, 0.3),
+            lag_m: 0.0,
             turn: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3),
             contact_patches,
             shaft: None,

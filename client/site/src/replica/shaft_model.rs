@@ -105,6 +105,7 @@ mod tests {
                 friction_dynamic: 0.0,
                 force_error: 0.0,
                 at: Vec3::new(0.1, 0.2, 0.3),
+                lag_m: 0.0,
                 turn: UnitQuaternion::identity(),
                 contact_patches: Vec::new(),
                 shaft: Some(shaft),

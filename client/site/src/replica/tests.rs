@@ -241,6 +241,7 @@ fn energy_of_other_hands_is_tracked() {
         friction_dynamic: 0.0,
         force_error: 0.0,
         at: Vec3::new(0.0, 0.0, -depth),
+        lag_m: 0.0,
         torque: Vec3::zeros(),
         turn: UnitQuaternion::identity(),
         contact_patches: Vec::new(),

@@ -3,6 +3,8 @@
 //! The sampling density follows the resolution of the sphere, not the lattice. Four samples per triangle equal one
 //! sample per triangle of a lattice of half the spacing.
 
+use std::sync::LazyLock;
+
 use super::ball::Ball;
 use super::core::Core;
 use super::outwards::Outwards;
@@ -12,13 +14,33 @@ use super::tie::Spread;
 use super::{FINE_RADIUS, PENALTY};
 use crate::Vec3;
 
-/// Barycentric weights of the four samples of a triangle, the middles of its four equal parts; the first is the centre.
-const SAMPLES: [[f64; 3]; 4] = [
-    [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0],
-    [2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0],
-    [1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0],
-    [1.0 / 6.0, 1.0 / 6.0, 2.0 / 3.0],
-];
+/// Maximum distance of samples along an edge, in radii of the tool. With 1 a ball of 6 mm that is pressed 40 mm into a thigh
+/// loses its contact in 60 of 4,000 steps, with 0.7 in 17.
+const SAMPLE_PITCH: f64 = 0.7;
+/// Maximum parts of an edge.
+const PARTS_MAX: usize = 8;
+/// Barycentric weights of the middles of the equal parts of a triangle, by the number of parts of an edge.
+static WEIGHTS: LazyLock<[Vec<[f64; 3]>; PARTS_MAX + 1]> =
+    LazyLock::new(|| std::array::from_fn(middles_of_parts));
+
+fn middles_of_parts(parts: usize) -> Vec<[f64; 3]> {
+    let corners = (0..parts).flat_map(|i| (0..parts - i).map(move |j| [i, j]));
+    let middles = corners.flat_map(|corner| {
+        // Between three parts that are oriented like the triangle lies one of the opposite orientation.
+        let has_opposite = corner[0] + corner[1] + 2 <= parts;
+        let thirds = if has_opposite {
+            &[1.0, 2.0][..]
+        } else {
+            &[1.0]
+        };
+        thirds.iter().map(move |third| {
+            let [a, b] = corner.map(|k| (k as f64 + third / 3.0) / parts as f64);
+            [a, b, 1.0 - a - b]
+        })
+    });
+    middles.collect()
+}
+
 /// Triangles per node of a surface.
 const TRIANGLES_PER_NODE: f64 = 2.0;
 /// Maximum samples of all tools: a sphere of 40 spacings pressed in to its middle has about 20,000. Further triangles
@@ -81,13 +103,15 @@ pub(super) fn depth(v: Vec3, radius: f64) -> (f64, Vec3) {
     (radius - distance, v / distance)
 }
 
-/// Barycentric weights of the samples of a triangle under a sphere; see [`FINE_RADIUS`].
-pub(super) fn weights_of(radius: f64, spacing: f64) -> &'static [[f64; 3]] {
-    if radius < FINE_RADIUS * spacing {
-        &SAMPLES
-    } else {
-        &SAMPLES[..1]
-    }
+/// Barycentric weights of the samples of a triangle under a sphere, at most [`SAMPLE_PITCH`] radii apart along its longest edge;
+/// see also [`FINE_RADIUS`].
+pub(super) fn weights_of(corners: &[Vec3; 3], radius: f64, spacing: f64) -> &'static [[f64; 3]] {
+    let least = if radius < FINE_RADIUS * spacing { 2 } else { 1 };
+    let longest = (0..3)
+        .map(|k| (corners[k] - corners[(k + 1) % 3]).norm())
+        .fold(0.0, f64::max);
+    let parts = (longest / (SAMPLE_PITCH * radius)).ceil() as usize;
+    &WEIGHTS[parts.clamp(least, PARTS_MAX)]
 }
 
 /// Adds the samples of a tool: points of the surface within its reach that face it.
@@ -100,21 +124,21 @@ pub(super) fn sample(
 ) {
     let spacing = surface.topology.model().spacing_m;
     let reach = proxy.radius + 0.5 * spacing + proxy.gap;
-    let of_triangle = weights_of(proxy.radius, spacing);
     let narrow = (WIDE * spacing / proxy.radius).max(1.0).powf(1.5);
-    let share = PENALTY * narrow / (TRIANGLES_PER_NODE * of_triangle.len() as f64);
     let triangles = within_reach(surface, &proxy.core, reach + proxy.inset);
     let outwards = (proxy.inset > 0.0).then(|| Outwards::around(surface, &triangles));
     for triangle in triangles {
+        let corners = surface.corners(triangle);
+        let of_triangle = weights_of(&corners, proxy.radius, spacing);
         if samples.len() + of_triangle.len() > SAMPLES_MAX {
             return;
         }
-        let corners = surface.corners(triangle);
         let Some(normal) = area_normal(&corners).try_normalize(1e-30) else {
             continue;
         };
         let nodes = surface.topology.triangle(triangle);
         let rest = nodes.map(|n| surface.topology.rest(n));
+        let share = PENALTY * narrow / (TRIANGLES_PER_NODE * of_triangle.len() as f64);
         for &weights in of_triangle {
             let inwards = outwards.as_ref().map_or_else(Vec3::zeros, |outwards| {
                 outwards.at(&nodes, &weights, &normal) * -proxy.inset

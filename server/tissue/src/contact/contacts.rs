@@ -128,7 +128,7 @@ impl Contacts {
         own_stiffness: &[f64],
         fixed: &[bool],
     ) -> bool {
-        self.update_penetration(u);
+        self.update_bounds(u);
         let at_tip: Vec<f64> = (0..self.proxies.len())
             .map(|i| self.pressed_at_tip_n(topology, u, i))
             .collect();
@@ -164,6 +164,11 @@ impl Contacts {
         let displacements = self.nodes.iter().map(|&node| u[node as usize]);
         self.gathered_at.extend(displacements);
         lags
+    }
+
+    /// Whether a proxy still moves towards its tool, rather than waits for tissue that does not yield.
+    pub(crate) fn are_proxies_following(&self) -> bool {
+        self.proxies.iter().any(Proxy::is_following)
     }
 
     /// Whether a node has moved by more than `limit` m since the samples were gathered.
@@ -246,29 +251,21 @@ impl Contacts {
         }
     }
 
-    /// Updates the penetration depth and the gap of each proxy, so that no proxy outruns the tissue.
-    fn update_penetration(&mut self, u: &[Vec3]) {
+    /// Updates the gap of each proxy and the bounds of its motion, so that no proxy outruns the tissue.
+    fn update_bounds(&mut self, u: &[Vec3]) {
+        for proxy in &mut self.proxies {
+            proxy.clear_constraints();
+        }
         let mut nearest = vec![f64::NEG_INFINITY; self.proxies.len()];
-        let mut pushes = vec![[Vec3::zeros(); 2]; self.proxies.len()];
         for sample in &self.samples {
             let (v, radius) = self.offset(sample, u);
-            let nearest = &mut nearest[sample.proxy as usize];
-            *nearest = nearest.max(depth(v, radius).0);
-            let (pressed, n) = self.force_over_stiffness(sample, u);
-            if pressed > 0.0 {
-                let force = n * (-sample.stiffness * pressed);
-                let at = self.proxies[sample.proxy as usize].at;
-                let push = &mut pushes[sample.proxy as usize];
-                push[0] += force;
-                push[1] += (sample.position(u) - at).cross(&force);
-            }
-        }
-        for (proxy, [force, torque]) in self.proxies.iter_mut().zip(pushes) {
-            proxy.note_push(force, torque);
+            let (depth, n) = depth(v, radius);
+            let i = sample.proxy as usize;
+            nearest[i] = nearest[i].max(depth);
+            self.proxies[i].add_constraint(depth, n, &sample.position(u));
         }
         let retreats = self.disabled.allows(Mechanism::RetreatSearch);
         for (proxy, nearest) in self.proxies.iter_mut().zip(nearest) {
-            proxy.depth = nearest.max(0.0);
             if nearest.is_finite() && retreats {
                 proxy.gap = (-nearest).max(0.0);
             }

@@ -69,7 +69,7 @@ impl Proxy {
         if let Some(channel) = channel {
             self.secant.clear();
             self.multipliers.clear();
-            (self.placed, self.touching, self.depth, self.gap) = (true, true, 0.0, 0.0);
+            (self.placed, self.touching, self.gap) = (true, true, 0.0);
             self.insertion = Insertion::In(channel);
         }
     }
@@ -196,6 +196,7 @@ impl Contacts {
             friction_dynamic: 0.0,
             force_error: 0.0,
             at: proxy.at,
+            lag_m: proxy.lag(),
             turn: proxy.turn,
             contact_patches: Vec::new(),
             shaft: Some(ShaftReaction {

@@ -9,10 +9,11 @@
 //! ```
 //!
 //! The three nodes share it as `w_k f`; the tool receives the opposite force. Each triangle has four samples of equal
-//! area, half a spacing apart, or one where the lattice is fine compared to the tool ([`FINE_RADIUS`]). The contact
-//! penalty stiffness κ is [`PENALTY`] times the stiffness of the nodes under the sample; converged forces do not depend
-//! on it, except on fixed nodes. Contacts never pull, and the force grows from zero at touch, so it is continuous. A
-//! triangle that faces away from the core (the far skin of a thin flap) fades out over a range of angles.
+//! area, half a spacing apart, or one where the lattice is fine compared to the tool ([`FINE_RADIUS`]), and more where it
+//! is stretched. The contact penalty stiffness κ is [`PENALTY`] times the stiffness of the nodes under the sample;
+//! converged forces do not depend on it, except on fixed nodes. Contacts never pull, and the force grows from zero at
+//! touch, so it is continuous. A triangle that faces away from the core (the far skin of a thin flap) fades out over a
+//! range of angles.
 //!
 //! Below [`POINT_RADIUS`] spacings a tool would slip between samples. Such a tool presses with that radius on a surface
 //! that is offset inwards by the difference (`outwards`): it touches at the right place, and its dent is as narrow as
@@ -23,8 +24,8 @@
 //! shares of up to [`PLACES_MAX`] contact patches, each with its own friction.
 //!
 //! The tissue is pressed by the proxy of a tool, which stays on its side of the surface: it stops at first touch, and
-//! in contact moves by at most half a radius per iteration. A tool that jumps, or appears inside the tissue, is
-//! followed from outside.
+//! in contact moves only as far as the tissue has yielded (`constraint`). A tool that jumps, or appears inside the
+//! tissue, is followed from outside.
 //!
 //! The tip of a needle holds the surface from its first touch on: from then on the tissue is tied to the needle (`channel`),
 //! and no sample presses on it until it has left.
@@ -32,6 +33,7 @@
 mod ball;
 mod channel;
 mod clearance;
+mod constraint;
 mod contact_sample;
 mod contacts;
 mod core;

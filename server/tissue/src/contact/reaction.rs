@@ -32,8 +32,10 @@ pub struct Reaction {
     pub friction_dynamic: f64,
     /// Estimate of the error of `force` in N: its change in the last iteration.
     pub force_error: f64,
-    /// Position where the force holds: the proxy's pivot, which equals the tool's unless the tool jumped.
+    /// Position where the force holds: the proxy's pivot, which equals the tool's unless the tissue has yet to yield.
     pub at: Vec3,
+    /// Distance from the proxy to the tool in m.
+    pub lag_m: f64,
     /// Rotation of the proxy.
     pub turn: UnitQuaternion<f64>,
     /// Contact patches in the order of their numbers. Their forces sum to `force`.
@@ -184,6 +186,7 @@ impl Contacts {
             friction_dynamic: friction(1) * share,
             force_error: 0.0,
             at: proxy.at,
+            lag_m: proxy.lag(),
             turn: proxy.turn,
             contact_patches: touched.map(|(n, f)| ContactPatch::of(n, f)).collect(),
             shaft: None,

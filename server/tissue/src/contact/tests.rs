@@ -169,7 +169,7 @@ proptest! {
             let mut expected = Vec::new();
             for &nodes in &topology.boundary().triangles {
                 let corners = nodes.map(|n| topology.rest(n) + u[n as usize]);
-                for &weights in weights_of(radius * D, D) {
+                for &weights in weights_of(&corners, radius * D, D) {
                     let v = -proxy.core.towards(&blend(&corners, &weights));
                     let facing = v.dot(&area_normal(&corners)) > 0.0;
                     if facing && v.norm() <= (radius + 0.5) * D + proxy.gap {

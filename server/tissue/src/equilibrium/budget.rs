@@ -57,7 +57,7 @@ pub struct StepReport {
     pub clamped: usize,
     /// Tools ignored: not finite, without radius, with a repeated id, or above the maximum number.
     pub ignored_tools: usize,
-    /// Largest distance between a proxy and its tool in m; zero unless a tool jumped.
+    /// Largest distance between a proxy and its tool in m; zero unless tissue has yet to yield to a tool.
     pub lag_m: f64,
     /// Whether the last iteration changed no tool's force by more than half a percent.
     pub steady: bool,

@@ -220,7 +220,7 @@ impl Solver {
         self.report.steady = true;
         self.report.visits = [0; 2];
         self.report.rolled_back = false;
-        let is_settled = self.report.lag_m == 0.0 && !self.contacts.is_apart;
+        let is_settled = !self.contacts.are_proxies_following() && !self.contacts.is_apart;
         if !changed && is_settled && self.report.residual <= budget.tolerance {
             self.settle(budget.tolerance);
             return &self.report;
@@ -310,7 +310,8 @@ impl Solver {
                 .iter()
                 .all(|p| p.to_refine.items.is_empty());
             let is_apart = quick && self.contacts.is_apart;
-            let converged = sum.sqrt() <= allowed && !lags && !is_apart;
+            let follows = lags && self.contacts.are_proxies_following();
+            let converged = sum.sqrt() <= allowed && !follows && !is_apart;
             let done = converged && share <= last && (whole || budget.tolerance >= PROVEN);
             if done || self.is_over(budget, due, touches) {
                 break;
