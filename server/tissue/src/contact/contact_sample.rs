@@ -14,9 +14,9 @@ use super::tie::Spread;
 use super::{FINE_RADIUS, PENALTY};
 use crate::Vec3;
 
-/// Maximum distance of samples along an edge, in radii of the tool. With 1 a ball of 6 mm that is pressed 40 mm into a thigh
-/// loses its contact in 60 of 4,000 steps, with 0.7 in 17.
-const SAMPLE_PITCH: f64 = 0.7;
+/// Maximum distance of samples along an edge, in radii of at least a spacing: edges at rest have one or two parts. With 1 a ball
+/// of 6 mm that is pressed 40 mm into a thigh loses its contact in 60 of 4,000 steps, with 0.7 in 17.
+const SAMPLE_PITCH: f64 = 0.75;
 /// Maximum parts of an edge.
 const PARTS_MAX: usize = 8;
 /// Barycentric weights of the middles of the equal parts of a triangle, by the number of parts of an edge.
@@ -103,14 +103,13 @@ pub(super) fn depth(v: Vec3, radius: f64) -> (f64, Vec3) {
     (radius - distance, v / distance)
 }
 
-/// Barycentric weights of the samples of a triangle under a sphere, at most [`SAMPLE_PITCH`] radii apart along its longest edge;
-/// see also [`FINE_RADIUS`].
+/// Barycentric weights of the samples of a triangle under a sphere; see [`SAMPLE_PITCH`] and [`FINE_RADIUS`].
 pub(super) fn weights_of(corners: &[Vec3; 3], radius: f64, spacing: f64) -> &'static [[f64; 3]] {
     let least = if radius < FINE_RADIUS * spacing { 2 } else { 1 };
     let longest = (0..3)
         .map(|k| (corners[k] - corners[(k + 1) % 3]).norm())
         .fold(0.0, f64::max);
-    let parts = (longest / (SAMPLE_PITCH * radius)).ceil() as usize;
+    let parts = (longest / (SAMPLE_PITCH * radius.max(spacing))).ceil() as usize;
     &WEIGHTS[parts.clamp(least, PARTS_MAX)]
 }
 

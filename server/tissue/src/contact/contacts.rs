@@ -166,7 +166,7 @@ impl Contacts {
         lags
     }
 
-    /// Whether a proxy still moves towards its tool, rather than waits for tissue that does not yield.
+    /// Whether the next motion of a proxy may differ from its last one, rather than being none.
     pub(crate) fn are_proxies_following(&self) -> bool {
         self.proxies.iter().any(Proxy::is_following)
     }

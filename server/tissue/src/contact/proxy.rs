@@ -32,10 +32,12 @@ const LOST: f64 = 0.5;
 /// ball of 0.75 spacings, where up to two thirds of the force were missing; with 0.25 a ball of 3 mm that is pressed 30 mm into
 /// a thigh has no force in 98 instead of 33 steps.
 const DEPTH_MAX: f64 = 0.15;
-/// Excess of that depth by a motion, relative to it.
+/// Share of that depth by which a motion may exceed it; a later one returns by as much.
 const SLACK: f64 = 0.01;
 /// Motion in radii below which a proxy waits.
-const MOVED_MIN: f64 = 1e-3;
+const MOVED_MIN: f64 = 2e-3;
+/// Maximum way in strides whose nearest motion is sought: in a narrow groove, the search over a long way would not end.
+const WAY_MAX: f64 = 4.0;
 /// Motion, relative to the maximum travel, below which a proxy is blocked.
 const BLOCKED: f64 = 0.5;
 /// Distance from the surface, in radii, below which a placed tool starts outside even if its middle is outside: tissue in the
@@ -67,6 +69,8 @@ pub(crate) struct Proxy {
     /// Length in m of its last motion.
     moved: f64,
     pub(crate) placed: bool,
+    /// Whether its contact was lost in the last step, maybe because the surface passed through it.
+    lost: bool,
     pub(crate) seen: bool,
     pub(super) multipliers: Multipliers,
     pub(super) secant: Secant,
@@ -90,6 +94,7 @@ impl Proxy {
             constraints: Vec::new(),
             moved: 0.0,
             placed: false,
+            lost: false,
             seen: true,
             multipliers: Multipliers::default(),
             secant: Secant::default(),
@@ -169,9 +174,10 @@ impl Proxy {
         way + self.arm() * self.turn.angle_to(&self.target.turn)
     }
 
-    /// Whether it has yet to follow its tool and moved towards it last.
+    /// Whether its next motion may differ from the last one: it still follows its tool, or has yet to be placed again.
     pub(super) fn is_following(&self) -> bool {
-        self.lag() > 0.0 && self.moved > MOVED_MIN * self.radius
+        let moves = self.constraints.is_empty() || self.moved > MOVED_MIN * self.radius;
+        self.lost || self.lag() > 0.0 && moves
     }
 
     /// Distance in m from the pivot to the farthest point of its core.
@@ -221,16 +227,18 @@ impl Proxy {
         // Tissue that still follows a retreating tool would otherwise pass through it.
         let lost = LOST * self.radius.max(0.5 * spacing);
         let keeps = depth.is_some() && self.gap < lost;
-        // Where the surface has passed through the tool, it starts outside again.
-        self.placed &= keeps || !self.touching;
+        self.lost = self.touching && !keeps;
         self.touching &= keeps;
     }
 
     pub(super) fn go(&mut self, surface: &Surface<'_>) {
         let spacing = surface.topology.model().spacing_m;
         let stride = TRAVEL * self.radius.max(0.5 * spacing);
+        let is_lost = std::mem::take(&mut self.lost);
         if !self.placed {
-            self.place(surface, f64::MAX);
+            self.appear(surface, f64::MAX);
+        } else if is_lost && !self.insertion.is_in() {
+            self.place(surface, self.radius + REACH * spacing);
         }
         let length = self.lag();
         let there = (self.target.centre, self.target.turn);
@@ -241,10 +249,12 @@ impl Proxy {
         }
         let from = (self.at, self.turn);
         if self.touching {
-            if self.insertion.is_in() {
-                self.approach([from, there], (stride / length).min(1.0));
-            } else {
+            if !self.insertion.is_in() {
                 self.push_on(stride, surface);
+            } else if length <= stride {
+                self.set(there.0, there.1);
+            } else {
+                self.approach([from, there], stride / length);
             }
             return;
         }
@@ -253,7 +263,7 @@ impl Proxy {
         if steps > MARCH_MAX.min(SEARCHES_MAX / searches) {
             self.set(there.0, there.1);
             // Every point was outside, so the surface is no farther than its path.
-            self.place(surface, length + self.radius + spacing);
+            self.appear(surface, length + self.radius + spacing);
             return;
         }
         for s in 1..=steps {
@@ -273,14 +283,23 @@ impl Proxy {
     /// tissue that does not yield, such as bone, continues at its pose.
     fn push_on(&mut self, stride: f64, surface: &Surface<'_>) {
         let bound = DEPTH_MAX * self.radius;
-        // Surface beyond the samples bounds no motion.
-        let stride = stride.min(0.5 * surface.topology.model().spacing_m + bound);
-        let way = self.way();
-        let is_near = |c: &&Constraint| c.room < stride;
+        let stride = if self.constraints.is_empty() {
+            bound
+        } else {
+            // Surface beyond the samples bounds no motion.
+            stride.min(0.5 * surface.topology.model().spacing_m + bound)
+        };
+        let whole = self.way();
+        let share = (WAY_MAX * stride / length(&whole)).min(1.0);
+        let way = if share < 1.0 {
+            whole.map(|part| part * share)
+        } else {
+            whole
+        };
+        let is_near = |c: &&Constraint| c.room < stride * length(&c.gradient);
         let near: Vec<Constraint> = self.constraints.iter().filter(is_near).cloned().collect();
         let motion = nearest_motion(way, &near, SLACK * bound);
         let length = length(&motion);
-        let from = self.lag();
         if motion == way && length <= stride {
             self.set(self.target.centre, self.target.turn);
         } else {
@@ -288,7 +307,7 @@ impl Proxy {
             let turn = UnitQuaternion::from_scaled_axis(motion[1] * (share / self.lever()));
             self.set(self.at + motion[0] * share, turn * self.turn);
         }
-        if length < BLOCKED * stride && from > JUMP_M && self.is_free_after_jump(surface) {
+        if length < BLOCKED * stride && self.is_free_after_jump(surface) {
             self.set(self.target.centre, self.target.turn);
             self.touching = false;
         }
@@ -330,16 +349,28 @@ impl Proxy {
 
     /// Bounds its motion by a sample at `at`, `depth` m deep, towards `n` from its core.
     pub(super) fn add_constraint(&mut self, depth: f64, n: Vec3, at: &Vec3) {
+        let bound = DEPTH_MAX * self.radius;
         self.constraints.push(Constraint {
             gradient: [n, (at - self.at).cross(&n) / self.lever()],
-            room: (DEPTH_MAX * self.radius - depth).max(0.0),
+            room: (bound - depth).max(-SLACK * bound),
         });
     }
 
-    /// Places a new tool at its pose, or outside the surface if its middle is inside or [beside](BESIDE) it. The surface is
-    /// searched up to `reach` m from each point.
-    fn place(&mut self, surface: &Surface<'_>, reach: f64) {
+    /// Places a new tool. A weak tool that appears in the tissue enters it as its strength grows.
+    fn appear(&mut self, surface: &Surface<'_>, reach: f64) {
         self.placed = true;
+        let from = self.at;
+        self.place(surface, reach);
+        if self.at != from {
+            self.out = self.at - from;
+            self.target.centre += self.withdrawal(self.target.strength);
+        }
+    }
+
+    /// Leaves the tool at its pose, or moves it out of the surface if its middle is inside or [beside](BESIDE) it. The surface
+    /// is searched up to `reach` m from each point.
+    fn place(&mut self, surface: &Surface<'_>, reach: f64) {
+        self.constraints.clear();
         self.touching = false;
         let spacing = surface.topology.model().spacing_m;
         // Moved out by its deepest penetration.
@@ -369,9 +400,6 @@ impl Proxy {
             }
         }
         if out.0 > 0.0 {
-            // A weak tool that appears in the tissue enters it as its strength grows.
-            self.out = out.1 - self.at;
-            self.target.centre += self.withdrawal(self.target.strength);
             self.set(out.1, self.turn);
         }
     }

@@ -124,7 +124,7 @@ impl Solver {
             reaction.is_inserted = self.contacts.end_insertion(topology, u, own, i);
             self.report.reactions.push(reaction);
         }
-        self.report.steady &= !self.contacts.is_unsettled;
+        self.report.steady &= !self.contacts.is_unsettled && !self.contacts.are_proxies_following();
         self.report.active_nodes = self.fine.nodes.items.len();
         self.report.visits = [self.fine.visits, self.coarse.visits];
         self.report.clamped = self.fine.clamped;

@@ -274,7 +274,7 @@ impl Solver {
         self.coarse.follows = self.contacts.proxies.is_empty();
         self.fine.limit_moves(&self.hierarchy, quick);
         let mut share = INITIAL_THRESHOLD;
-        let jumped = lags;
+        let jumped = lags && self.contacts.are_proxies_following();
         // The contact stiffness on the coarse levels belongs to earlier contacts.
         let mut outdated = true;
         let touched = self.report.reactions.iter().any(|r| r.contacts > 0);
