@@ -5,7 +5,7 @@ use super::channel::Around;
 use super::contact_sample::{Sample, depth, sample};
 use super::line_search::{LineSearch, Row, TieRow};
 use super::multipliers::{Change, Multipliers};
-use super::proxy::Proxy;
+use super::proxy::{Placement, Proxy};
 use super::surface::{Foot, Surface, blend};
 use super::surface_index::{SurfaceChange, SurfaceIndex, SurfaceTree};
 use super::tie::{Held, Spread};
@@ -239,7 +239,7 @@ impl Contacts {
         };
         self.proxies
             .iter()
-            .all(|p| p.placed && !p.insertion.is_in() && clear(p))
+            .all(|p| p.placement != Placement::New && !p.insertion.is_in() && clear(p))
     }
 
     /// Drops all samples: the tissue is at rest, and all tools are clear of it.

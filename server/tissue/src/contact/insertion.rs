@@ -3,7 +3,7 @@
 use super::Reaction;
 use super::channel::{Around, Channel, Rod};
 use super::contacts::Contacts;
-use super::proxy::Proxy;
+use super::proxy::{Placement, Proxy};
 use super::reaction::ShaftReaction;
 use super::surface::Surface;
 use super::tie::Held;
@@ -69,7 +69,7 @@ impl Proxy {
         if let Some(channel) = channel {
             self.secant.clear();
             self.multipliers.clear();
-            (self.placed, self.touching, self.gap) = (true, true, 0.0);
+            (self.placement, self.touching, self.gap) = (Placement::Placed, true, 0.0);
             self.insertion = Insertion::In(channel);
         }
     }
@@ -79,7 +79,7 @@ impl Proxy {
             self.secant.clear();
             self.multipliers.clear();
             // Contact begins outside of the surface again.
-            (self.placed, self.touching, self.gap) = (false, false, 0.0);
+            (self.placement, self.touching, self.gap) = (Placement::New, false, 0.0);
         }
     }
 }

@@ -45,6 +45,17 @@ const BLOCKED: f64 = 0.5;
 /// found half of the force, 0.125 radii above it 98 %.)
 const BESIDE: f64 = 0.1;
 
+/// How a tool starts its next step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Placement {
+    /// It appears at its pose.
+    New,
+    /// It continues.
+    Placed,
+    /// It lost its contact, maybe because the surface passed through it.
+    Lost,
+}
+
 /// State of a tool between steps.
 #[derive(Clone)]
 pub(crate) struct Proxy {
@@ -68,9 +79,7 @@ pub(crate) struct Proxy {
     constraints: Vec<Constraint>,
     /// Length in m of its last motion.
     moved: f64,
-    pub(crate) placed: bool,
-    /// Whether its contact was lost in the last step, maybe because the surface passed through it.
-    lost: bool,
+    pub(crate) placement: Placement,
     pub(crate) seen: bool,
     pub(super) multipliers: Multipliers,
     pub(super) secant: Secant,
@@ -93,8 +102,7 @@ impl Proxy {
             touching: false,
             constraints: Vec::new(),
             moved: 0.0,
-            placed: false,
-            lost: false,
+            placement: Placement::New,
             seen: true,
             multipliers: Multipliers::default(),
             secant: Secant::default(),
@@ -118,7 +126,7 @@ impl Proxy {
         if other {
             // A closing jaw meets the tissue between its parts from outside.
             self.set(self.at, self.turn);
-            self.placed = false;
+            self.placement = Placement::New;
         }
         if tool.is_ball() {
             // A ball turns without moving its surface.
@@ -177,7 +185,7 @@ impl Proxy {
     /// Whether its next motion may differ from the last one: it still follows its tool, or has yet to be placed again.
     pub(super) fn is_following(&self) -> bool {
         let moves = self.constraints.is_empty() || self.moved > MOVED_MIN * self.radius;
-        self.lost || self.lag() > 0.0 && moves
+        self.placement == Placement::Lost || self.lag() > 0.0 && moves
     }
 
     /// Distance in m from the pivot to the farthest point of its core.
@@ -227,18 +235,21 @@ impl Proxy {
         // Tissue that still follows a retreating tool would otherwise pass through it.
         let lost = LOST * self.radius.max(0.5 * spacing);
         let keeps = depth.is_some() && self.gap < lost;
-        self.lost = self.touching && !keeps;
+        if self.touching && !keeps {
+            self.placement = Placement::Lost;
+        }
         self.touching &= keeps;
     }
 
     pub(super) fn go(&mut self, surface: &Surface<'_>) {
         let spacing = surface.topology.model().spacing_m;
         let stride = TRAVEL * self.radius.max(0.5 * spacing);
-        let is_lost = std::mem::take(&mut self.lost);
-        if !self.placed {
-            self.appear(surface, f64::MAX);
-        } else if is_lost && !self.insertion.is_in() {
-            self.place(surface, self.radius + REACH * spacing);
+        match std::mem::replace(&mut self.placement, Placement::Placed) {
+            Placement::New => self.appear(surface, f64::MAX),
+            Placement::Lost if !self.insertion.is_in() => {
+                self.place(surface, self.radius + REACH * spacing);
+            }
+            Placement::Lost | Placement::Placed => {}
         }
         let length = self.lag();
         let there = (self.target.centre, self.target.turn);
@@ -358,7 +369,6 @@ impl Proxy {
 
     /// Places a new tool. A weak tool that appears in the tissue enters it as its strength grows.
     fn appear(&mut self, surface: &Surface<'_>, reach: f64) {
-        self.placed = true;
         let from = self.at;
         self.place(surface, reach);
         if self.at != from {
