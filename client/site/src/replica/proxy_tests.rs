@@ -88,23 +88,25 @@ fn proxy_of_a_press_stays_on_or_outside_the_drawn_surface() {
     }
 }
 
-/// The block is 24 mm thick, on a floor that does not yield, and the tool stays in it. Above 10 N devices saturate. Tissue pressed
-/// flat has single solves with a third more force.
+/// The block is 24 mm thick, on a floor that does not yield, and the tool stays in it. Above 10 N devices saturate. The greatest force
+/// is that of medians of three: on tissue pressed flat, single solves have a third more force.
 #[test]
 fn force_never_drops_while_a_tool_is_pushed_deeper() {
     let mut replica = Replica::new(soft_block([10, 10, 6]), true);
-    let mut greatest = 0.0_f64;
+    let (mut last, mut greatest) = ([0.0; 3], 0.0_f64);
     for half_mm in 1..=64 {
         let own = tool(0.5e-3 * f64::from(half_mm));
         let mut never = || false;
         let budget = hand_budget(&mut never);
         let model = replica.haptic_step(ClientTime::ZERO, Some(&own), &[], budget);
-        let force = held(&own, &model).felt.force.norm();
+        last = [last[1], last[2], held(&own, &model).felt.force.norm()];
+        let mut sorted = last;
+        sorted.sort_by(f64::total_cmp);
         assert!(
-            force > 0.8 * greatest.min(10.0),
-            "{} mm: {force} N after {greatest} N",
+            last[2] > 0.9 * greatest.min(10.0),
+            "{} mm: {last:?} N after {greatest} N",
             0.5 * f64::from(half_mm)
         );
-        greatest = greatest.max(force);
+        greatest = greatest.max(sorted[1]);
     }
 }

@@ -14,7 +14,7 @@ use crate::Vec3;
 /// A translation, and a rotation vector times the tool's lever, in m.
 pub(super) type Motion = [Vec3; 2];
 
-/// Maximum sweeps over the constraints. The motion is shortened by what they leave.
+/// Maximum number of sweeps over the constraints. A motion that still exceeds one is shortened.
 const SWEEPS: usize = 30;
 
 /// A bound of a tool's motion by one sample.

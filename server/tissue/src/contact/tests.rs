@@ -265,3 +265,30 @@ fn known_tool_that_jumps_into_tissue_is_placed_on_its_surface() {
         assert!(proxy.at.z >= top, "{} m below", top - proxy.at.z);
     }
 }
+
+#[test]
+fn tool_that_the_surface_has_passed_through_is_placed_outside_again() {
+    let topology = topology();
+    let mut contacts = Contacts::new(&topology);
+    let own = vec![1.0; topology.node_count()];
+    let top = CELLS[2] as f64 * D;
+    let tool = Tool::ball(1, Vec3::new(4.5 * D, 3.5 * D, top + 0.8 * D), D);
+    let rest = vec![Vec3::zeros(); own.len()];
+    contacts.begin(&[tool]);
+    contacts.gather(&topology, &rest, 0.0, &own, &[]);
+    assert!(contacts.proxies[0].touching);
+    let risen = vec![Vec3::z() * 2.5 * D; own.len()];
+    contacts.reaction(&topology, &risen, None, 0);
+    assert!(!contacts.proxies[0].touching);
+    // A tool that stands still is pending, so that the next step is not skipped.
+    assert!(contacts.are_proxies_following());
+    contacts.begin(&[tool]);
+    contacts.gather(&topology, &risen, 2.5 * D, &own, &[]);
+    let proxy = &contacts.proxies[0];
+    assert!(proxy.touching && !contacts.samples.is_empty());
+    assert!(
+        proxy.at.z > top + 3.3 * D,
+        "{} m above the rest",
+        proxy.at.z - top
+    );
+}
