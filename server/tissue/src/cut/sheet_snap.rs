@@ -118,16 +118,17 @@ impl SheetNode {
         match self.freedom {
             Freedom::Free => x = foot.point + foot.normal * height,
             Freedom::Pinned => return None,
-            Freedom::Held(free) => {
+            Freedom::Held(_) => {
                 for _ in 0..ITERATIONS {
                     let foot = ribbon.nearest(&x)?;
                     let miss = height - (x - foot.point).dot(&foot.normal);
-                    let across = free * foot.normal;
-                    let share = across.norm_squared();
-                    if miss.abs() < 1e-10 * spacing || share < CROSSING_MIN {
+                    let Some(rise) = self.rise(&foot.normal) else {
+                        break;
+                    };
+                    if miss.abs() < 1e-10 * spacing {
                         break;
                     }
-                    x = self.interfaces.project(x + across * (miss / share));
+                    x = self.interfaces.project(x + rise * miss);
                 }
             }
         }
@@ -153,18 +154,18 @@ impl SheetNode {
         if excess == 0.0 {
             return x;
         }
-        match self.freedom {
-            Freedom::Free => x - normal * excess,
-            Freedom::Held(free) => {
-                let across = free * normal;
-                let share = across.norm_squared();
-                if share < CROSSING_MIN {
-                    return x;
-                }
-                x - across * (excess / share)
-            }
-            Freedom::Pinned => x,
-        }
+        self.rise(&normal).map_or(x, |rise| x - rise * excess)
+    }
+
+    /// The shortest way left to it that leads higher by one over a plane with a normal; none where that is too long.
+    pub(crate) fn rise(&self, normal: &Vec3) -> Option<Vec3> {
+        let across = match self.freedom {
+            Freedom::Free => return Some(*normal),
+            Freedom::Held(free) => free * normal,
+            Freedom::Pinned => return None,
+        };
+        let share = across.norm_squared();
+        (share >= CROSSING_MIN).then(|| across / share)
     }
 
     /// The nearest place to `x` to which cuts may move it from where it was built.
