@@ -19,7 +19,7 @@ use crate::{
     Span, TopologyHash,
 };
 
-/// The protocol version of this crate. Every change of a message, or of the nodes that a cut gives, increments it.
+/// The protocol version of this crate. Every change of a message increments it, and every change of the nodes that a cut gives.
 pub const PROTOCOL_VERSION: u16 = 15;
 
 /// The first bytes of every palpate stream.

@@ -23,7 +23,7 @@ const SHARES: [f64; 3] = [0.975, 0.84, 0.0];
 const CROSSING_SHARES: [f64; 3] = [0.97, 0.81, 0.67];
 
 /// Greatest root mean squares of the angle between triangles inside: whole strokes, pieces, and across a wound.
-const ANGLES_DEG: [f64; 3] = [6.0, 8.5, 14.5];
+const ANGLES_DEG: [f64; 3] = [6.0, 7.8, 13.5];
 
 /// Cuts each model with a number of random strokes: whole, in pieces, and across each other.
 fn check_models(models: &[(&str, SceneInput, u64)]) {
@@ -55,7 +55,7 @@ fn check_models(models: &[(&str, SceneInput, u64)]) {
                 .zip(least)
                 .all(|(share, least)| *share >= least)
         );
-        assert!(tally.angle_deg() <= greatest, "{}", tally.angle_deg());
+        assert!(tally.angle_deg() <= greatest);
     }
 }
 

@@ -23,8 +23,8 @@ fn random_strokes_on_a_block_keep_the_laws_and_reach_the_swept_surface() {
     let [inside, interface, _] = tally.shares();
     assert!(inside > 0.998, "{inside}");
     assert!(interface > 0.98, "{interface}");
-    // 4.8 without tightening, 6.0 without spreading.
-    assert!(tally.angle_deg() < 4.5, "{}", tally.angle_deg());
+    // 4.5 without tightening, 5.6 without spreading.
+    assert!(tally.angle_deg() < 4.1, "{}", tally.angle_deg());
 }
 
 #[test]
@@ -55,6 +55,6 @@ fn strokes_in_pieces_open_nearly_the_sheet_of_the_whole_stroke() {
         let [inside, interface, _] = tally.shares();
         assert!(inside > 0.97, "{inside}");
         assert!(interface > 0.94, "{interface}");
-        assert!(tally.angle_deg() < 8.5, "{}", tally.angle_deg());
+        assert!(tally.angle_deg() < 6.9, "{}", tally.angle_deg());
     }
 }

@@ -22,7 +22,7 @@
 //! freedom.rs     directions of a node     follow.rs         deformed shapes after a cut
 //! interface.rs   interfaces as built      swept_surface.rs  distances from it
 //! edge.rs        resistance of an edge    edge_search.rs    cells along an edge
-//! stroke_tree.rs the surfaces of strokes  smoothing.rs      smooth walls
+//! stroke_tree.rs the surfaces of strokes  sheet_smoothing.rs smooth walls
 //! ```
 //!
 //! Everything runs in one order that depends on the topology and the stroke alone: the same strokes
@@ -43,8 +43,8 @@ mod projections;
 mod refine;
 mod ribbon;
 mod sheet;
+mod sheet_smoothing;
 mod sheet_snap;
-mod smoothing;
 mod soundness;
 mod stroke;
 mod stroke_part;
@@ -235,11 +235,11 @@ fn settle(
     let ids: Vec<u32> = nodes.iter().map(|n| n.node).collect();
     let mut patch = Patch::around(topology, &ids);
     sheet_snap::place(&mut patch, nodes, ribbon);
-    smoothing::spread(topology, sheet, &mut patch, nodes, ribbon);
+    sheet_smoothing::spread(topology, sheet, &mut patch, nodes, ribbon);
     patch.relax(topology);
     Projections::new(topology, ribbon, &mut patch, nodes).run();
     patch.backtrack();
-    smoothing::tighten(&mut patch, nodes, ribbon);
+    sheet_smoothing::tighten(&mut patch, nodes, ribbon);
     sheet_snap::mark(&patch, nodes, ribbon);
     let mut moves = Moves {
         topology,

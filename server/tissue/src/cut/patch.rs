@@ -6,7 +6,6 @@
 use std::cell::OnceCell;
 use std::collections::hash_map::Entry;
 
-use super::DRIFT_MAX;
 use super::freedom::{Freedom, freedom};
 use super::soundness::{CORNER_FLOOR, SPRING_FLOOR, Soundness};
 use crate::cell::NO_CELL;
@@ -42,17 +41,6 @@ pub(crate) struct Patch {
     /// Floors of single cells, since they were first asked for.
     floors: Vec<OnceCell<Soundness>>,
     pub(crate) spacing: f64,
-}
-
-/// The nearest place to `x` to which cuts may move a node from where it was built.
-pub(crate) fn within_drift(x: Vec3, built: &Vec3, spacing: f64) -> Vec3 {
-    let (way, limit) = (x - built, DRIFT_MAX * spacing);
-    let size = way.norm();
-    if size > limit {
-        built + way * (limit / size)
-    } else {
-        x
-    }
 }
 
 impl Patch {

@@ -20,9 +20,9 @@ use std::collections::BTreeMap;
 
 use super::freedom::Freedom;
 use super::interface::Interfaces;
-use super::patch::{Patch, within_drift};
+use super::patch::Patch;
 use super::ribbon::Ribbon;
-use super::sheet_snap::SheetNode;
+use super::sheet_snap::{CROSSING_MIN, SheetNode};
 use super::soundness::{CORNER_FLOOR, Soundness, span};
 use crate::cell::{NO_CELL, PAIRS};
 use crate::{Topology, Vec3};
@@ -37,7 +37,7 @@ const GROWTH: f64 = 1.05;
 /// then all.
 const ROUNDS: usize = 5;
 /// A violated constraint of a corner and of a spring is met with this much to spare, relative to the floor, so that fewer
-/// sweeps suffice.
+/// sweeps suffice and later cuts find room.
 const CORNER_MARGIN: f64 = 0.5;
 const SPRING_MARGIN: f64 = 0.1;
 /// Factor of P along the normal of the swept surface.
@@ -49,7 +49,7 @@ const STEP_MAX: f64 = 0.1;
 /// Farthest a node may leave its interfaces, in spacings.
 const LIFT_MAX: f64 = 0.07;
 /// A node farther from its interfaces than this, in spacings, stays where it was.
-const DRIFT_ALLOWED: f64 = 0.09;
+pub(crate) const DRIFT_ALLOWED: f64 = 0.09;
 /// A corner was flat, as built or before this cut, if it spanned less than this, in cubed spacings.
 const FLAT: f64 = 0.5;
 
@@ -189,14 +189,11 @@ impl<'a> Projections<'a> {
                 node.plane = Some((foot.point, foot.normal));
             }
             x = node.within_drift(node.within_slab(x), self.patch.spacing);
-        } else {
+        } else if is_held {
             let id = self.patch.ids[n];
-            if is_held {
-                let own = self.slid.entry(n);
-                let own = own.or_insert_with(|| Interfaces::at(self.topology, id));
-                x = own.clamp(x, lift);
-            }
-            x = within_drift(x, &self.topology.original(id), self.patch.spacing);
+            let own = self.slid.entry(n);
+            let own = own.or_insert_with(|| Interfaces::at(self.topology, id));
+            x = own.clamp(x, lift);
         }
         self.patch.at[n] = x;
     }
@@ -276,11 +273,15 @@ impl<'a> Projections<'a> {
         let Some((_, normal)) = node.plane else {
             return Vec3::zeros();
         };
-        let Some(rise) = node.rise(&normal) else {
-            return left;
+        let across = match node.freedom {
+            Freedom::Held(free) => free * normal,
+            Freedom::Free | Freedom::Pinned => normal,
         };
-        let part = rise.dot(&left) / rise.norm_squared();
-        left - rise * (part * (1.0 - NORMAL_SHARE))
+        let share = across.norm_squared();
+        if share < CROSSING_MIN {
+            return left;
+        }
+        left - across * (across.dot(&left) / share * (1.0 - NORMAL_SHARE))
     }
 
     /// Moves nodes, each given with the gradient and the part of it that is left to the node.

@@ -9,7 +9,7 @@
 use std::ops::Range;
 
 use super::freedom::Freedom;
-use super::patch::{Patch, within_drift};
+use super::patch::Patch;
 use crate::cell::NO_CELL;
 use crate::{Topology, Vec3};
 
@@ -49,7 +49,7 @@ impl Patch {
             }
         }
         for (n, _) in nodes {
-            let to = within_drift(original[n] + offsets[n], &original[n], self.spacing);
+            let to = original[n] + offsets[n];
             if (to - self.start[n]).norm() > WORTH_MOVING * self.spacing {
                 self.at[n] = to;
             }

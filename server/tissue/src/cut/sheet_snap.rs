@@ -17,7 +17,7 @@
 use super::DRIFT_MAX;
 use super::freedom::{Freedom, freedom};
 use super::interface::Interfaces;
-use super::patch::{Patch, within_drift};
+use super::patch::Patch;
 use super::ribbon::Ribbon;
 use super::soundness::CORNER_FLOOR;
 use crate::{FaceId, Topology, Vec3};
@@ -30,7 +30,7 @@ const SLAB: f64 = 0.0495;
 const SQUASH: f64 = 1.1 * CORNER_FLOOR;
 /// A node slides to the swept surface only where it crosses its own at more than this (squared sine
 /// of the angle); flatter than that it would have to go too far.
-const CROSSING_MIN: f64 = 0.05;
+pub(crate) const CROSSING_MIN: f64 = 0.05;
 /// Steps of the iteration on curved surfaces; flat ones need one.
 const ITERATIONS: usize = 20;
 
@@ -41,7 +41,7 @@ pub(crate) struct SheetNode {
     pub(crate) interfaces: Interfaces,
     /// Where it was built.
     original: Vec3,
-    /// Point and normal of the swept surface near it, where it was moved last; none for pinned nodes.
+    /// Point and normal of the swept surface near it; none for pinned nodes.
     pub(crate) plane: Option<(Vec3, Vec3)>,
     /// How far from the plane it may be, in m.
     pub(crate) slab: f64,
@@ -157,8 +157,7 @@ impl SheetNode {
         self.rise(&normal).map_or(x, |rise| x - rise * excess)
     }
 
-    /// The shortest displacement in its free directions that raises it by one over a plane with a normal; none where these
-    /// meet the plane too flatly.
+    /// The shortest way left to it that leads higher by one over a plane with a normal; none where that is too long.
     pub(crate) fn rise(&self, normal: &Vec3) -> Option<Vec3> {
         let across = match self.freedom {
             Freedom::Free => return Some(*normal),
@@ -171,6 +170,12 @@ impl SheetNode {
 
     /// The nearest place to `x` to which cuts may move it from where it was built.
     pub(crate) fn within_drift(&self, x: Vec3, spacing: f64) -> Vec3 {
-        within_drift(x, &self.original, spacing)
+        let (way, limit) = (x - self.original, DRIFT_MAX * spacing);
+        let size = way.norm();
+        if size > limit {
+            self.original + way * (limit / size)
+        } else {
+            x
+        }
     }
 }
