@@ -22,7 +22,7 @@
 //! freedom.rs     directions of a node     follow.rs         deformed shapes after a cut
 //! interface.rs   interfaces as built      swept_surface.rs  distances from it
 //! edge.rs        resistance of an edge    edge_search.rs    cells along an edge
-//! stroke_tree.rs the surfaces of strokes  sheet_smoothing.rs smooth walls
+//! stroke_tree.rs the surfaces of strokes
 //! ```
 //!
 //! Everything runs in one order that depends on the topology and the stroke alone: the same strokes
@@ -43,7 +43,6 @@ mod projections;
 mod refine;
 mod ribbon;
 mod sheet;
-mod sheet_smoothing;
 mod sheet_snap;
 mod soundness;
 mod stroke;
@@ -195,7 +194,7 @@ impl Plan {
         let Self { sheet, mut nodes } = self;
         let before = topology.hashed();
         let ribbon = Ribbon::continued(&stroke.points, topology.model.spacing_m);
-        let (moved, mut changed) = settle(topology, &ribbon, &sheet, &mut nodes);
+        let (moved, mut changed) = settle(topology, &ribbon, &mut nodes);
         let doubled = part::double(topology, &sheet);
         part::open(topology, &sheet, &doubled);
         changed.extend(width::widen(topology, stroke, &ribbon, &doubled));
@@ -229,17 +228,14 @@ impl Plan {
 fn settle(
     topology: &mut Topology,
     ribbon: &Ribbon,
-    sheet: &[FaceId],
     nodes: &mut [SheetNode],
 ) -> (Vec<Moved>, BTreeSet<u32>) {
     let ids: Vec<u32> = nodes.iter().map(|n| n.node).collect();
     let mut patch = Patch::around(topology, &ids);
     sheet_snap::place(&mut patch, nodes, ribbon);
-    sheet_smoothing::spread(topology, sheet, &mut patch, nodes, ribbon);
     patch.relax(topology);
     Projections::new(topology, ribbon, &mut patch, nodes).run();
     patch.backtrack();
-    sheet_smoothing::tighten(&mut patch, nodes, ribbon);
     sheet_snap::mark(&patch, nodes, ribbon);
     let mut moves = Moves {
         topology,

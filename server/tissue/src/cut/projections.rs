@@ -38,7 +38,7 @@ const GROWTH: f64 = 1.05;
 const ROUNDS: usize = 5;
 /// A violated constraint of a corner and of a spring is met with this much to spare, relative to the floor, so that fewer
 /// sweeps suffice and later cuts find room.
-const CORNER_MARGIN: f64 = 0.5;
+const CORNER_MARGIN: f64 = 1.0;
 const SPRING_MARGIN: f64 = 0.1;
 /// Factor of P along the normal of the swept surface.
 const NORMAL_SHARE: f64 = 0.05;
@@ -49,7 +49,7 @@ const STEP_MAX: f64 = 0.1;
 /// Farthest a node may leave its interfaces, in spacings.
 const LIFT_MAX: f64 = 0.07;
 /// A node farther from its interfaces than this, in spacings, stays where it was.
-pub(crate) const DRIFT_ALLOWED: f64 = 0.09;
+const DRIFT_ALLOWED: f64 = 0.09;
 /// A corner was flat, as built or before this cut, if it spanned less than this, in cubed spacings.
 const FLAT: f64 = 0.5;
 

@@ -118,17 +118,16 @@ impl SheetNode {
         match self.freedom {
             Freedom::Free => x = foot.point + foot.normal * height,
             Freedom::Pinned => return None,
-            Freedom::Held(_) => {
+            Freedom::Held(free) => {
                 for _ in 0..ITERATIONS {
                     let foot = ribbon.nearest(&x)?;
                     let miss = height - (x - foot.point).dot(&foot.normal);
-                    let Some(rise) = self.rise(&foot.normal) else {
-                        break;
-                    };
-                    if miss.abs() < 1e-10 * spacing {
+                    let across = free * foot.normal;
+                    let share = across.norm_squared();
+                    if miss.abs() < 1e-10 * spacing || share < CROSSING_MIN {
                         break;
                     }
-                    x = self.interfaces.project(x + rise * miss);
+                    x = self.interfaces.project(x + across * (miss / share));
                 }
             }
         }
@@ -154,18 +153,18 @@ impl SheetNode {
         if excess == 0.0 {
             return x;
         }
-        self.rise(&normal).map_or(x, |rise| x - rise * excess)
-    }
-
-    /// The shortest way left to it that leads higher by one over a plane with a normal; none where that is too long.
-    pub(crate) fn rise(&self, normal: &Vec3) -> Option<Vec3> {
-        let across = match self.freedom {
-            Freedom::Free => return Some(*normal),
-            Freedom::Held(free) => free * normal,
-            Freedom::Pinned => return None,
-        };
-        let share = across.norm_squared();
-        (share >= CROSSING_MIN).then(|| across / share)
+        match self.freedom {
+            Freedom::Free => x - normal * excess,
+            Freedom::Held(free) => {
+                let across = free * normal;
+                let share = across.norm_squared();
+                if share < CROSSING_MIN {
+                    return x;
+                }
+                x - across * (excess / share)
+            }
+            Freedom::Pinned => x,
+        }
     }
 
     /// The nearest place to `x` to which cuts may move it from where it was built.

@@ -6,9 +6,6 @@ use palpate_tissue::cell::{FACES, NO_CELL, PAIRS};
 use palpate_tissue::nearest::{Feature, nearest_feature};
 use palpate_tissue::{FaceId, RegionId, SweptSurface, Topology, Vec3};
 
-/// Triangles that meet at more than this angle, in degrees, are on both sides of a front.
-const FRONT: f64 = 150.0;
-
 /// Constraints on a node of a sheet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Kind {
@@ -157,32 +154,4 @@ pub(crate) fn cell_figures(x: &[Vec3; 8], spacing: f64) -> [f64; 2] {
         short = short.min((x[a] - x[b]).norm() / spacing);
     }
     [least, short]
-}
-
-/// Squared angles in degrees between adjacent triangles of the faces that were opened since the boundary had `before`
-/// faces, where all corners are inside; both sides, without the front of the cut.
-pub(crate) fn wall_angles(uncut: &Topology, t: &Topology, before: usize) -> Vec<f64> {
-    let mut normals = BTreeMap::<[u32; 2], Vec<Vec3>>::new();
-    for &[a, b, c] in &t.boundary().triangles[2 * before..] {
-        let is_inside = |n: u32| {
-            let node = origin(t, n);
-            !uncut.is_pinned(node) && interfaces_at(uncut, node).is_empty()
-        };
-        if [a, b, c].into_iter().all(is_inside) {
-            let at = |n| t.rest(n);
-            let normal = (at(b) - at(a)).cross(&(at(c) - at(a)));
-            for [p, q] in [[a, b], [b, c], [c, a]] {
-                normals
-                    .entry([p.min(q), p.max(q)])
-                    .or_default()
-                    .push(normal);
-            }
-        }
-    }
-    let angle = |normals: &Vec<Vec3>| match normals[..] {
-        [a, b] => Some(a.angle(&b).to_degrees()),
-        _ => None,
-    };
-    let angles = normals.values().filter_map(angle);
-    angles.filter(|a| *a < FRONT).map(|a| a * a).collect()
 }

@@ -8,7 +8,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
 use super::random_stroke::{crossing_stroke, pieces, random_stroke};
-use super::sheet_figures::{Kind, cell_figures, drift, origin, sheet_nodes, wall_angles};
+use super::sheet_figures::{Kind, cell_figures, drift, origin, sheet_nodes};
 
 /// A node this near to the swept surface is on it, in spacings.
 const ON: f64 = 0.05;
@@ -26,8 +26,6 @@ pub(crate) struct Tally {
     /// Nodes on the wall of an earlier stroke.
     pub(crate) crossing: [usize; 2],
     pub(crate) faces: usize,
-    /// Sum of the squared angles between adjacent triangles inside, and their number.
-    pub(crate) angles: (f64, usize),
     pub(crate) refused: usize,
 }
 
@@ -44,14 +42,7 @@ impl Tally {
             }
         }
         self.faces += other.faces;
-        self.angles.0 += other.angles.0;
-        self.angles.1 += other.angles.1;
         self.refused += other.refused;
-    }
-
-    /// Root mean square of the angle between adjacent triangles inside, in degrees.
-    pub(crate) fn angle_deg(&self) -> f64 {
-        (self.angles.0 / self.angles.1.max(1) as f64).sqrt()
     }
 
     /// Shares of the nodes inside, on interfaces and at crossings that are on the swept surface.
@@ -161,9 +152,6 @@ fn check_result(
         }
     }
     tally.faces += t.boundary().faces.len() - opened;
-    let angles = wall_angles(uncut, t, opened);
-    tally.angles.0 += angles.iter().sum::<f64>();
-    tally.angles.1 += angles.len();
     for node in sheet_nodes(uncut, t, opened, &surface) {
         let drift = drift(uncut, t, node.node);
         assert!(
