@@ -19,8 +19,8 @@ use crate::{
     Span, TopologyHash,
 };
 
-/// The protocol version of this crate. Every change of a message increments it.
-pub const PROTOCOL_VERSION: u16 = 14;
+/// The protocol version of this crate. Every change of a message, or of the nodes that a cut gives, increments it.
+pub const PROTOCOL_VERSION: u16 = 15;
 
 /// The first bytes of every palpate stream.
 pub const MAGIC: [u8; 4] = *b"PALP";

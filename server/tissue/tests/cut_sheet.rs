@@ -18,23 +18,25 @@ fn uncut() -> Topology {
 fn random_strokes_on_a_block_keep_the_laws_and_reach_the_swept_surface() {
     let count = count(2000);
     let tally = check(&uncut(), count, None);
-    println!("{tally:?} {:?}", tally.shares());
+    println!("{tally:?} {:?} {}", tally.shares(), tally.angle_deg());
     assert!(tally.refused as u64 <= count / 5);
     let [inside, interface, _] = tally.shares();
-    assert!(inside > 0.998, "{inside}");
-    assert!(interface > 0.97, "{interface}");
+    assert!(inside > 0.999, "{inside}");
+    assert!(interface > 0.98, "{interface}");
+    // 6 and more without spreading.
+    assert!(tally.angle_deg() < 4.0, "{}", tally.angle_deg());
 }
 
 #[test]
 fn strokes_that_cross_an_earlier_wound_keep_the_laws_and_reach_the_swept_surface() {
     let count = count(200);
     let tally = check_crossings(&uncut(), count);
-    println!("{tally:?} {:?}", tally.shares());
+    println!("{tally:?} {:?} {}", tally.shares(), tally.angle_deg());
     assert!(tally.refused as u64 <= count / 3);
     let [inside, interface, crossing] = tally.shares();
-    assert!(inside > 0.99, "{inside}");
-    assert!(interface > 0.95, "{interface}");
-    assert!(crossing > 0.88, "{crossing}");
+    assert!(inside > 0.995, "{inside}");
+    assert!(interface > 0.97, "{interface}");
+    assert!(crossing > 0.9, "{crossing}");
 }
 
 #[test]
@@ -43,11 +45,16 @@ fn strokes_in_pieces_open_nearly_the_sheet_of_the_whole_stroke() {
     let whole = check(&uncut(), count, None);
     for length_m in [1e-3, 3e-3] {
         let tally = check(&uncut(), count, Some(length_m));
-        println!("{length_m}: {tally:?} {:?}", tally.shares());
+        println!(
+            "{length_m}: {tally:?} {:?} {}",
+            tally.shares(),
+            tally.angle_deg()
+        );
         let faces = tally.faces as f64 / whole.faces as f64;
         assert!((faces - 1.0).abs() < 0.1, "{faces}");
         let [inside, interface, _] = tally.shares();
-        assert!(inside > 0.97, "{inside}");
-        assert!(interface > 0.93, "{interface}");
+        assert!(inside > 0.98, "{inside}");
+        assert!(interface > 0.94, "{interface}");
+        assert!(tally.angle_deg() < 9.2, "{}", tally.angle_deg());
     }
 }

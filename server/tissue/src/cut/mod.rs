@@ -22,7 +22,7 @@
 //! freedom.rs     directions of a node     follow.rs         deformed shapes after a cut
 //! interface.rs   interfaces as built      swept_surface.rs  distances from it
 //! edge.rs        resistance of an edge    edge_search.rs    cells along an edge
-//! stroke_tree.rs the surfaces of strokes
+//! stroke_tree.rs the surfaces of strokes  smoothing.rs      smooth walls
 //! ```
 //!
 //! Everything runs in one order that depends on the topology and the stroke alone: the same strokes
@@ -44,6 +44,7 @@ mod refine;
 mod ribbon;
 mod sheet;
 mod sheet_snap;
+mod smoothing;
 mod soundness;
 mod stroke;
 mod stroke_part;
@@ -194,8 +195,13 @@ impl Plan {
         let Self { sheet, mut nodes } = self;
         let before = topology.hashed();
         let ribbon = Ribbon::continued(&stroke.points, topology.model.spacing_m);
-        let (moved, mut changed) = settle(topology, &ribbon, &mut nodes);
-        let doubled = part::double(topology, &sheet);
+        let ids: Vec<u32> = nodes.iter().map(|n| n.node).collect();
+        let fans = part::fans(topology, &sheet, &ids);
+        let mut patch = Patch::around(topology, &ids);
+        let half_widths = width::half_widths(&patch, stroke, &ribbon, &fans);
+        patch.expect_opening(half_widths, &ribbon);
+        let (moved, mut changed) = settle(topology, patch, &ribbon, &sheet, &mut nodes);
+        let doubled = part::double(topology, &ids, &fans);
         part::open(topology, &sheet, &doubled);
         changed.extend(width::widen(topology, stroke, &ribbon, &doubled));
         changed.extend(doubled.iter().flat_map(|d| [d.0, d.1]));
@@ -227,15 +233,17 @@ impl Plan {
 /// Moves the nodes of the sheet onto the ribbon and the nodes around along; no node is doubled yet.
 fn settle(
     topology: &mut Topology,
+    mut patch: Patch,
     ribbon: &Ribbon,
+    sheet: &[FaceId],
     nodes: &mut [SheetNode],
 ) -> (Vec<Moved>, BTreeSet<u32>) {
-    let ids: Vec<u32> = nodes.iter().map(|n| n.node).collect();
-    let mut patch = Patch::around(topology, &ids);
     sheet_snap::place(&mut patch, nodes, ribbon);
+    smoothing::spread(topology, sheet, &mut patch, nodes, ribbon);
     patch.relax(topology);
     Projections::new(topology, ribbon, &mut patch, nodes).run();
     patch.backtrack();
+    smoothing::tighten(&mut patch, nodes, ribbon);
     sheet_snap::mark(&patch, nodes, ribbon);
     let mut moves = Moves {
         topology,

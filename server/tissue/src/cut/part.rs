@@ -8,21 +8,28 @@ use super::sheet::{is_bone, nodes_of};
 use crate::cell::{FACES, NO_CELL, cell_volume};
 use crate::{FaceId, Topology};
 
+/// The fans of each node of a sheet once its faces are open.
+pub(crate) fn fans(topology: &Topology, sheet: &[FaceId], nodes: &[u32]) -> Vec<Fans> {
+    let opening = Opening::new(topology, sheet);
+    nodes.iter().map(|&n| opening.fans(n)).collect()
+}
+
+/// Whether a node is doubled, given its fans.
+pub(crate) fn is_parted(fans: Fans) -> bool {
+    let mut fans = fans.into_iter().filter(|&f| f != NO_FAN);
+    let first = fans.next();
+    fans.any(|f| Some(f) != first)
+}
+
 /// Gives every fan of every node of the sheet a node of its own: the first fan, or the first one with a cell of bone, keeps
 /// the old one, so that no node ceases to be pinned; the others get new ones at the end. Returns pairs of new node and the
 /// node it was doubled from.
-pub(crate) fn double(topology: &mut Topology, sheet: &[FaceId]) -> Vec<(u32, u32)> {
-    let nodes: BTreeSet<u32> = sheet
-        .iter()
-        .flat_map(|&face| nodes_of(topology, face))
-        .collect();
-    let opening = Opening::new(topology, sheet);
-    let fans: Vec<(u32, Fans)> = nodes.iter().map(|&n| (n, opening.fans(n))).collect();
+pub(crate) fn double(topology: &mut Topology, nodes: &[u32], fans: &[Fans]) -> Vec<(u32, u32)> {
     let mut doubled = Vec::new();
-    for (node, fans) in fans {
+    for (&node, fans) in nodes.iter().zip(fans) {
         let cells = topology.node_cells[node as usize];
         let has_bone = |slot: &usize| fans[*slot] != NO_FAN && is_bone(topology, cells[*slot]);
-        let mut labels: BTreeSet<u8> = fans.into_iter().filter(|&f| f != NO_FAN).collect();
+        let mut labels: BTreeSet<u8> = fans.iter().copied().filter(|&f| f != NO_FAN).collect();
         let bone = (0..8).filter(has_bone).map(|slot| fans[slot]).min();
         if let Some(keeps) = bone.or_else(|| labels.first().copied()) {
             labels.remove(&keeps);

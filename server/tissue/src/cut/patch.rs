@@ -6,7 +6,9 @@
 use std::cell::OnceCell;
 use std::collections::hash_map::Entry;
 
+use super::DRIFT_MAX;
 use super::freedom::{Freedom, freedom};
+use super::ribbon::Ribbon;
 use super::soundness::{CORNER_FLOOR, SPRING_FLOOR, Soundness};
 use crate::cell::NO_CELL;
 use crate::number_map::NumberMap;
@@ -38,9 +40,33 @@ pub(crate) struct Patch {
     pub(crate) around: Vec<[u32; 8]>,
     /// The floors of all cells.
     floor: Soundness,
+    /// Displacement of each node of the sheet to the positive side of the wound when that opens.
+    half_widths: Vec<Vec3>,
+    /// The side of the wound, 1 or -1, of each cell that its opening deforms; 0 for others.
+    sides: Vec<f64>,
     /// Floors of single cells, since they were first asked for.
     floors: Vec<OnceCell<Soundness>>,
     pub(crate) spacing: f64,
+}
+
+/// The nearest place to `x` to which cuts may move a node from where it was built.
+pub(crate) fn within_drift(x: Vec3, built: &Vec3, spacing: f64) -> Vec3 {
+    let (way, limit) = (x - built, DRIFT_MAX * spacing);
+    let size = way.norm();
+    if size > limit {
+        built + way * (limit / size)
+    } else {
+        x
+    }
+}
+
+/// The corners of a cell whose nodes all are in the sheet, which has this many: each with its three neighbours.
+pub(crate) fn corners_in_sheet(
+    corners: &[u32; 8],
+    sheet: usize,
+) -> impl Iterator<Item = [usize; 4]> + '_ {
+    let four = (0..8_usize).map(|c| [c, c ^ 1, c ^ 2, c ^ 4].map(|i| corners[i] as usize));
+    four.filter(move |four| four.iter().all(|&n| n < sheet))
 }
 
 impl Patch {
@@ -116,6 +142,8 @@ impl Patch {
             movable,
             cell_ids,
             floors: vec![OnceCell::new(); cells.len()],
+            half_widths: Vec::new(),
+            sides: vec![0.0; cells.len()],
             cells,
             around,
             floor: Soundness {
@@ -130,6 +158,33 @@ impl Patch {
         self.cells[cell].map(|n| self.at[n as usize])
     }
 
+    /// Takes how far each node of the sheet will go to the positive side when the wound opens. That deforms a cell with a corner
+    /// that lies in the sheet and whose nodes do not go equally far; such a cell has to be sound then, too.
+    pub(crate) fn expect_opening(&mut self, half_widths: Vec<Vec3>, ribbon: &Ribbon) {
+        for (side, corners) in self.sides.iter_mut().zip(&self.cells) {
+            let w = |n: usize| half_widths[n];
+            let mut steps = corners_in_sheet(corners, self.sheet);
+            if steps.any(|four| four.iter().any(|&n| w(n) != w(four[0]))) {
+                let start = corners.map(|n| self.start[n as usize]);
+                let centre = start.iter().sum::<Vec3>() / 8.0;
+                if let Some(foot) = ribbon.nearest(&centre) {
+                    *side = (centre - foot.point).dot(&foot.normal).signum();
+                }
+            }
+        }
+        self.half_widths = half_widths;
+    }
+
+    /// The corners of a cell when the wound opens, if that deforms it.
+    pub(crate) fn opened(&self, cell: usize) -> Option<[Vec3; 8]> {
+        let side = self.sides[cell];
+        let place = |n: u32| {
+            let half = self.half_widths.get(n as usize);
+            self.at[n as usize] + half.map_or(Vec3::zeros(), |half| half * side)
+        };
+        (side != 0.0).then(|| self.cells[cell].map(place))
+    }
+
     /// Least corner volume and spring length of a cell: the floors, or those before the cut where they are less.
     pub(crate) fn floor(&self, cell: usize) -> Soundness {
         let floor = || {
@@ -139,10 +194,13 @@ impl Patch {
         *self.floors[cell].get_or_init(floor)
     }
 
-    /// Whether a cell is not below its floor.
+    /// Whether a cell is not below its floor, now and when the wound opens.
     pub(crate) fn is_sound(&self, cell: usize) -> bool {
-        let now = Soundness::of(&self.corners(cell));
-        now.is_above(&self.floor) || now.is_above(&self.floor(cell))
+        let is_sound = |x: &[Vec3; 8]| {
+            let now = Soundness::of(x);
+            now.is_above(&self.floor) || now.is_above(&self.floor(cell))
+        };
+        is_sound(&self.corners(cell)) && self.opened(cell).is_none_or(|x| is_sound(&x))
     }
 
     /// Whether each cell has a corner that moved. The others are as sound as before.

@@ -1,8 +1,8 @@
 //! Soundness of the cells around a sheet by projections onto constraints (Kaczmarz's method for inequalities; known
 //! from position-based dynamics).
 //!
-//! A cell has a constraint C(x) >= c per corner (the volume V that its three edges span) and per spring (its length).
-//! A violated one moves its nodes i along the gradients `g_i = ∂C/∂x_i`, as far as these are left to them:
+//! A cell has a constraint C(x) >= c per corner (the volume V that its three edges span) and per spring (its length). Cells that
+//! the opening of the wound deforms have those of corners also for their nodes as they will be then. A violated one moves its nodes i along the gradients `g_i = ∂C/∂x_i`, as far as these are left to them:
 //!
 //! ```text
 //! x_i <- x_i + λ P_i g_i,    λ = (c - C) / Σ g_i·P_i g_i
@@ -20,9 +20,9 @@ use std::collections::BTreeMap;
 
 use super::freedom::Freedom;
 use super::interface::Interfaces;
-use super::patch::Patch;
+use super::patch::{Patch, within_drift};
 use super::ribbon::Ribbon;
-use super::sheet_snap::{CROSSING_MIN, SheetNode};
+use super::sheet_snap::SheetNode;
 use super::soundness::{CORNER_FLOOR, Soundness, span};
 use crate::cell::{NO_CELL, PAIRS};
 use crate::{Topology, Vec3};
@@ -37,8 +37,8 @@ const GROWTH: f64 = 1.05;
 /// then all.
 const ROUNDS: usize = 5;
 /// A violated constraint of a corner and of a spring is met with this much to spare, relative to the floor, so that fewer
-/// sweeps suffice and later cuts find room.
-const CORNER_MARGIN: f64 = 1.0;
+/// sweeps suffice.
+const CORNER_MARGIN: f64 = 0.5;
 const SPRING_MARGIN: f64 = 0.1;
 /// Factor of P along the normal of the swept surface.
 const NORMAL_SHARE: f64 = 0.05;
@@ -189,11 +189,14 @@ impl<'a> Projections<'a> {
                 node.plane = Some((foot.point, foot.normal));
             }
             x = node.within_drift(node.within_slab(x), self.patch.spacing);
-        } else if is_held {
+        } else {
             let id = self.patch.ids[n];
-            let own = self.slid.entry(n);
-            let own = own.or_insert_with(|| Interfaces::at(self.topology, id));
-            x = own.clamp(x, lift);
+            if is_held {
+                let own = self.slid.entry(n);
+                let own = own.or_insert_with(|| Interfaces::at(self.topology, id));
+                x = own.clamp(x, lift);
+            }
+            x = within_drift(x, &self.topology.original(id), self.patch.spacing);
         }
         self.patch.at[n] = x;
     }
@@ -217,27 +220,37 @@ impl<'a> Projections<'a> {
                 }
             }
         }
-        let wanted = floor.volume + CORNER_MARGIN * CORNER_FLOOR * self.patch.spacing.powi(3);
-        for corner in 0..8_usize {
-            let x = self.patch.corners(c);
-            let sign = |a: usize| if corner >> a & 1 == 0 { 1.0 } else { -1.0 };
-            let e = [0, 1, 2].map(|a| (x[corner ^ (1 << a)] - x[corner]) * sign(a));
-            let volume = e[0].cross(&e[1]).dot(&e[2]);
-            if volume >= floor.volume {
-                continue;
+        for corner in 0..8 {
+            let now = self.patch.corners(c);
+            self.correct_corner(c, corner, &now);
+            if let Some(opened) = self.patch.opened(c) {
+                self.correct_corner(c, corner, &opened);
             }
-            let g = [e[1].cross(&e[2]), e[2].cross(&e[0]), e[0].cross(&e[1])];
-            let [gx, gy, gz] = [0, 1, 2].map(|a| g[a] * sign(a));
-            let four = [corner, corner ^ 1, corner ^ 2, corner ^ 4].map(|i| cell[i]);
-            let lifts = self.is_flat(c, corner, &four);
-            let moves = [-(gx + gy + gz), gx, gy, gz];
-            let moves = [0, 1, 2, 3].map(|i| {
-                let (n, g) = (four[i], moves[i]);
-                (n, g, self.left_to(n, g, lifts))
-            });
-            self.step(&moves, wanted - volume);
         }
         true
+    }
+
+    /// Projects onto the constraint of a corner of a cell whose corners are, or will be, at `x`.
+    fn correct_corner(&mut self, c: usize, corner: usize, x: &[Vec3; 8]) {
+        let sign = |a: usize| if corner >> a & 1 == 0 { 1.0 } else { -1.0 };
+        let e = [0, 1, 2].map(|a| (x[corner ^ (1 << a)] - x[corner]) * sign(a));
+        let volume = e[0].cross(&e[1]).dot(&e[2]);
+        let floor = self.patch.floor(c).volume;
+        if volume >= floor {
+            return;
+        }
+        let wanted = floor + CORNER_MARGIN * CORNER_FLOOR * self.patch.spacing.powi(3);
+        let g = [e[1].cross(&e[2]), e[2].cross(&e[0]), e[0].cross(&e[1])];
+        let [gx, gy, gz] = [0, 1, 2].map(|a| g[a] * sign(a));
+        let cell = self.patch.cells[c].map(|n| n as usize);
+        let four = [corner, corner ^ 1, corner ^ 2, corner ^ 4].map(|i| cell[i]);
+        let lifts = self.is_flat(c, corner, &four);
+        let moves = [-(gx + gy + gz), gx, gy, gz];
+        let moves = [0, 1, 2, 3].map(|i| {
+            let (n, g) = (four[i], moves[i]);
+            (n, g, self.left_to(n, g, lifts))
+        });
+        self.step(&moves, wanted - volume);
     }
 
     /// Whether a corner has all its edges in an interface or wall.
@@ -273,15 +286,11 @@ impl<'a> Projections<'a> {
         let Some((_, normal)) = node.plane else {
             return Vec3::zeros();
         };
-        let across = match node.freedom {
-            Freedom::Held(free) => free * normal,
-            Freedom::Free | Freedom::Pinned => normal,
-        };
-        let share = across.norm_squared();
-        if share < CROSSING_MIN {
+        let Some(rise) = node.rise(&normal) else {
             return left;
-        }
-        left - across * (across.dot(&left) / share * (1.0 - NORMAL_SHARE))
+        };
+        let part = rise.dot(&left) / rise.norm_squared();
+        left - rise * (part * (1.0 - NORMAL_SHARE))
     }
 
     /// Moves nodes, each given with the gradient and the part of it that is left to the node.

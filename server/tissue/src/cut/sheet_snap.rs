@@ -17,7 +17,7 @@
 use super::DRIFT_MAX;
 use super::freedom::{Freedom, freedom};
 use super::interface::Interfaces;
-use super::patch::Patch;
+use super::patch::{Patch, corners_in_sheet, within_drift};
 use super::ribbon::Ribbon;
 use super::soundness::CORNER_FLOOR;
 use crate::{FaceId, Topology, Vec3};
@@ -30,7 +30,7 @@ const SLAB: f64 = 0.0495;
 const SQUASH: f64 = 1.1 * CORNER_FLOOR;
 /// A node slides to the swept surface only where it crosses its own at more than this (squared sine
 /// of the angle); flatter than that it would have to go too far.
-pub(crate) const CROSSING_MIN: f64 = 0.05;
+const CROSSING_MIN: f64 = 0.05;
 /// Steps of the iteration on curved surfaces; flat ones need one.
 const ITERATIONS: usize = 20;
 
@@ -41,7 +41,7 @@ pub(crate) struct SheetNode {
     pub(crate) interfaces: Interfaces,
     /// Where it was built.
     original: Vec3,
-    /// Point and normal of the swept surface near it; none for pinned nodes.
+    /// Point and normal of the swept surface near it, where it was moved last; none for pinned nodes.
     pub(crate) plane: Option<(Vec3, Vec3)>,
     /// How far from the plane it may be, in m.
     pub(crate) slab: f64,
@@ -97,13 +97,8 @@ pub(crate) fn mark(patch: &Patch, nodes: &mut [SheetNode], ribbon: &Ribbon) {
 fn at_steps(patch: &Patch) -> Vec<bool> {
     let mut steps = vec![false; patch.sheet];
     for corners in &patch.cells {
-        for c in 0..8 {
-            let four = [c, c ^ 1, c ^ 2, c ^ 4].map(|i| corners[i] as usize);
-            if four.iter().all(|&n| n < patch.sheet) {
-                for n in four {
-                    steps[n] = true;
-                }
-            }
+        for n in corners_in_sheet(corners, patch.sheet).flatten() {
+            steps[n] = true;
         }
     }
     steps
@@ -118,16 +113,17 @@ impl SheetNode {
         match self.freedom {
             Freedom::Free => x = foot.point + foot.normal * height,
             Freedom::Pinned => return None,
-            Freedom::Held(free) => {
+            Freedom::Held(_) => {
                 for _ in 0..ITERATIONS {
                     let foot = ribbon.nearest(&x)?;
                     let miss = height - (x - foot.point).dot(&foot.normal);
-                    let across = free * foot.normal;
-                    let share = across.norm_squared();
-                    if miss.abs() < 1e-10 * spacing || share < CROSSING_MIN {
+                    let Some(rise) = self.rise(&foot.normal) else {
+                        break;
+                    };
+                    if miss.abs() < 1e-10 * spacing {
                         break;
                     }
-                    x = self.interfaces.project(x + across * (miss / share));
+                    x = self.interfaces.project(x + rise * miss);
                 }
             }
         }
@@ -153,28 +149,23 @@ impl SheetNode {
         if excess == 0.0 {
             return x;
         }
-        match self.freedom {
-            Freedom::Free => x - normal * excess,
-            Freedom::Held(free) => {
-                let across = free * normal;
-                let share = across.norm_squared();
-                if share < CROSSING_MIN {
-                    return x;
-                }
-                x - across * (excess / share)
-            }
-            Freedom::Pinned => x,
-        }
+        self.rise(&normal).map_or(x, |rise| x - rise * excess)
+    }
+
+    /// The shortest displacement in its free directions that raises it by one over a plane with a normal; none where these
+    /// meet the plane too flatly.
+    pub(crate) fn rise(&self, normal: &Vec3) -> Option<Vec3> {
+        let across = match self.freedom {
+            Freedom::Free => return Some(*normal),
+            Freedom::Held(free) => free * normal,
+            Freedom::Pinned => return None,
+        };
+        let share = across.norm_squared();
+        (share >= CROSSING_MIN).then(|| across / share)
     }
 
     /// The nearest place to `x` to which cuts may move it from where it was built.
     pub(crate) fn within_drift(&self, x: Vec3, spacing: f64) -> Vec3 {
-        let (way, limit) = (x - self.original, DRIFT_MAX * spacing);
-        let size = way.norm();
-        if size > limit {
-            self.original + way * (limit / size)
-        } else {
-            x
-        }
+        within_drift(x, &self.original, spacing)
     }
 }

@@ -6,7 +6,7 @@ use crate::cell::PAIRS;
 
 /// Smallest volume spanned at a corner of a cell, in cubed spacings (1 for a cube). Lower lets
 /// cuts come closer to a tilted blade where the lattice makes a step; higher keeps cells fatter.
-pub(crate) const CORNER_FLOOR: f64 = 0.02;
+pub(crate) const CORNER_FLOOR: f64 = 0.01;
 /// Shortest spring, in spacings.
 pub(crate) const SPRING_FLOOR: f64 = 0.3;
 

@@ -13,8 +13,11 @@
 use std::collections::{BTreeSet, HashMap};
 
 use super::bounded_moves::Moves;
+use super::cell_fans::Fans;
 use super::freedom::{Freedom, freedom};
-use super::ribbon::Ribbon;
+use super::part::is_parted;
+use super::patch::Patch;
+use super::ribbon::{Foot, Ribbon};
 use super::stroke::CutStroke;
 use crate::cell::NO_CELL;
 use crate::{Topology, Vec3};
@@ -36,7 +39,7 @@ pub(crate) fn widen(
     if stroke.width_m <= 0.0 {
         return Vec::new();
     }
-    let limit = REST_WIDTH_MAX / 2.0 * topology.model.spacing_m;
+    let spacing = topology.model.spacing_m;
     let nodes: BTreeSet<u32> = doubled.iter().flat_map(|d| [d.0, d.1]).collect();
     let mut moves = Moves {
         topology,
@@ -48,10 +51,8 @@ pub(crate) fn widen(
         let Some(foot) = ribbon.nearest(&at) else {
             continue;
         };
-        let blade = &stroke.points[foot.step];
-        let height = (at - blade.tip).dot(&blade.axis) / blade.depth_m;
-        let half = (stroke.width_m / 2.0 * height.clamp(0.0, 1.0)).min(limit);
-        let offset = foot.normal * half * side(moves.topology, node, &foot.normal);
+        let offset =
+            half_width(stroke, &at, &foot, spacing) * side(moves.topology, node, &foot.normal);
         let offset = match outer(moves.topology, node, &foot.normal) {
             Freedom::Free => offset,
             Freedom::Held(free) => free * offset,
@@ -68,6 +69,37 @@ pub(crate) fn widen(
     let mut moved: Vec<u32> = moves.old.into_keys().collect();
     moved.sort_unstable();
     moved
+}
+
+/// Half of the width of a wound at a place, along the normal of the swept surface.
+fn half_width(stroke: &CutStroke, at: &Vec3, foot: &Foot, spacing: f64) -> Vec3 {
+    let blade = &stroke.points[foot.step];
+    let height = (at - blade.tip).dot(&blade.axis) / blade.depth_m;
+    let half = stroke.width_m / 2.0 * height.clamp(0.0, 1.0);
+    foot.normal * half.min(REST_WIDTH_MAX / 2.0 * spacing)
+}
+
+/// How far each node of the sheet will go to the positive side when the wound opens, if its cells allow it; `fans` are those of
+/// each node once the sheet is open.
+pub(crate) fn half_widths(
+    patch: &Patch,
+    stroke: &CutStroke,
+    ribbon: &Ribbon,
+    fans: &[Fans],
+) -> Vec<Vec3> {
+    let half = |(n, &fans): (usize, &Fans)| {
+        let at = patch.start[n];
+        let Some(foot) = ribbon.nearest(&at).filter(|_| is_parted(fans)) else {
+            return Vec3::zeros();
+        };
+        let half = half_width(stroke, &at, &foot, patch.spacing);
+        match patch.holds[n] {
+            Freedom::Free => half,
+            Freedom::Held(free) => free * half,
+            Freedom::Pinned => Vec3::zeros(),
+        }
+    };
+    fans.iter().enumerate().map(half).collect()
 }
 
 /// 1 or -1: on which side of the ribbon the cells of a node are.

@@ -105,7 +105,7 @@ pub(crate) fn check_cells(t: &Topology) {
                 if c >> a & 1 == 0 { out } else { -out }
             };
             let span = e(0).cross(&e(1)).dot(&e(2)) / spacing.powi(3);
-            assert!(span > 0.0199, "cell {cell} corner {c}: {span}");
+            assert!(span > 0.0099, "cell {cell} corner {c}: {span}");
         }
         for [a, b] in PAIRS.iter().filter(|[a, b]| (a ^ b).count_ones() < 3) {
             let length = (x[*a] - x[*b]).norm() / spacing;

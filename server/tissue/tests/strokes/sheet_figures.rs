@@ -155,3 +155,32 @@ pub(crate) fn cell_figures(x: &[Vec3; 8], spacing: f64) -> [f64; 2] {
     }
     [least, short]
 }
+
+/// Squared angles in degrees between adjacent triangles of the faces that were opened since the boundary had `before`
+/// faces, where all corners are inside; both sides, without the front of the cut.
+pub(crate) fn wall_angles(uncut: &Topology, t: &Topology, before: usize) -> Vec<f64> {
+    let mut sides = BTreeMap::<[u32; 2], Vec<(FaceId, Vec3)>>::new();
+    for (i, &[a, b, c]) in t.boundary().triangles.iter().enumerate().skip(2 * before) {
+        let is_inside = |n: u32| {
+            let node = origin(t, n);
+            !uncut.is_pinned(node) && interfaces_at(uncut, node).is_empty()
+        };
+        if [a, b, c].into_iter().all(is_inside) {
+            let at = |n| t.rest(n);
+            let normal = (at(b) - at(a)).cross(&(at(c) - at(a)));
+            for [p, q] in [[a, b], [b, c], [c, a]] {
+                let edge = sides.entry([p.min(q), p.max(q)]).or_default();
+                edge.push((t.boundary().faces[i / 2], normal));
+            }
+        }
+    }
+    let behind = |face: FaceId| {
+        let cell = uncut.across(face);
+        FaceId::new(cell, face.face() ^ 1)
+    };
+    let angle = |sides: &Vec<(FaceId, Vec3)>| match sides[..] {
+        [(face, a), (other, b)] if other != behind(face) => Some(a.angle(&b).to_degrees()),
+        _ => None,
+    };
+    sides.values().filter_map(angle).map(|a| a * a).collect()
+}

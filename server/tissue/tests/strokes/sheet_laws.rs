@@ -8,15 +8,17 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
 use super::random_stroke::{crossing_stroke, pieces, random_stroke};
-use super::sheet_figures::{Kind, cell_figures, drift, origin, sheet_nodes};
+use super::sheet_figures::{Kind, cell_figures, drift, origin, sheet_nodes, wall_angles};
 
 /// A node this near to the swept surface is on it, in spacings.
 const ON: f64 = 0.05;
 /// Least corner determinant and shortest spring of a cell that a cut moved, in spacings; less only where the cell had less
 /// before.
-const FLOORS: [f64; 2] = [0.0199, 0.2999];
+const FLOORS: [f64; 2] = [0.0099, 0.2999];
 /// Farthest that a node may leave its interfaces as built, in spacings.
-const DRIFT_MAX: f64 = 0.1;
+const LIFT_MAX: f64 = 0.1;
+/// Farthest that a node may be from where it was built, in spacings.
+const DRIFT_MAX: f64 = 1.5;
 
 /// Nodes of sheets that are not pinned.
 #[derive(Debug, Default)]
@@ -26,6 +28,8 @@ pub(crate) struct Tally {
     /// Nodes on the wall of an earlier stroke.
     pub(crate) crossing: [usize; 2],
     pub(crate) faces: usize,
+    /// Sum of the squared angles between adjacent triangles inside, and their number.
+    pub(crate) angles: (f64, usize),
     pub(crate) refused: usize,
 }
 
@@ -42,7 +46,14 @@ impl Tally {
             }
         }
         self.faces += other.faces;
+        self.angles.0 += other.angles.0;
+        self.angles.1 += other.angles.1;
         self.refused += other.refused;
+    }
+
+    /// Root mean square of the angle between adjacent triangles inside, in degrees.
+    pub(crate) fn angle_deg(&self) -> f64 {
+        (self.angles.0 / self.angles.1.max(1) as f64).sqrt()
     }
 
     /// Shares of the nodes inside, on interfaces and at crossings that are on the swept surface.
@@ -151,11 +162,22 @@ fn check_result(
             }
         }
     }
+    for n in 0..t.node_count() as u32 {
+        let built = t.model().nodes[origin(t, n) as usize];
+        let drift = (t.rest(n) - built).norm() / spacing;
+        assert!(
+            drift <= DRIFT_MAX + 1e-9,
+            "stroke {seed}, node {n}: {drift}"
+        );
+    }
     tally.faces += t.boundary().faces.len() - opened;
+    let angles = wall_angles(uncut, t, opened);
+    tally.angles.0 += angles.iter().sum::<f64>();
+    tally.angles.1 += angles.len();
     for node in sheet_nodes(uncut, t, opened, &surface) {
         let drift = drift(uncut, t, node.node);
         assert!(
-            drift <= DRIFT_MAX,
+            drift <= LIFT_MAX,
             "stroke {seed}, node {}: {drift}",
             node.node
         );
