@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use palpate_transport::threads;
 use tokio::runtime::Runtime;
 use tokio::task::JoinHandle;
 
@@ -33,7 +34,8 @@ impl Crew {
         let page = |(role, url): (&String, &String)| Some((role.clone(), PageAddress::parse(url)?));
         let pages: BTreeMap<String, PageAddress> =
             session.listening.pages.iter().filter_map(page).collect();
-        let runtime = runtime()?;
+        // Attackers stand for other machines: they do not preempt the threads of the session here.
+        let runtime = threads::background_runtime().map_err(SessionError::Runtime)?;
         let start = |attack: &Attack| {
             let target = Target::new(
                 trainee.clone(),
@@ -73,13 +75,4 @@ impl Drop for Crew {
             runtime.shutdown_timeout(END_WITHIN);
         }
     }
-}
-
-/// A runtime of one thread.
-pub(super) fn runtime() -> Result<Runtime, SessionError> {
-    tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(1)
-        .enable_all()
-        .build()
-        .map_err(SessionError::Runtime)
 }

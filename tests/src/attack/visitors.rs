@@ -8,10 +8,9 @@ use palpate_protocol::operation::OperationKind;
 use palpate_protocol::request::ServerMessage;
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{JoinLink, ParticipantId};
-use palpate_transport::{ModelRequest, fetch_model};
+use palpate_transport::{ModelRequest, fetch_model, threads};
 use tokio::runtime::Runtime;
 
-use super::crew;
 use super::raw_client::{RawClient, hello};
 use crate::session::{Session, SessionError};
 
@@ -96,7 +95,7 @@ impl Visitors {
     /// Starts the observer. Where attackers may keep all seats of spectators, which a link allows, newcomers are
     /// trainees.
     pub(super) fn start(session: &Session, takes_seats: bool) -> Result<Self, SessionError> {
-        let runtime = crew::runtime()?;
+        let runtime = threads::background_runtime().map_err(SessionError::Runtime)?;
         let spectator = session.direct_link("spectator")?;
         let mut links = vec![session.direct_link("trainee")?];
         let log = Arc::new(Mutex::new(ObservedLog::default()));
