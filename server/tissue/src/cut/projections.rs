@@ -2,7 +2,8 @@
 //! from position-based dynamics).
 //!
 //! A cell has a constraint C(x) >= c per corner (the volume V that its three edges span) and per spring (its length). Cells that
-//! the opening of the wound deforms have those of corners also for their nodes as they will be then. A violated one moves its nodes i along the gradients `g_i = ∂C/∂x_i`, as far as these are left to them:
+//! the opening of the wound deforms have those of corners twice: for closed and for opened positions. A violated one
+//! moves its nodes i along the gradients `g_i = ∂C/∂x_i`, as far as these are left to them:
 //!
 //! ```text
 //! x_i <- x_i + λ P_i g_i,    λ = (c - C) / Σ g_i·P_i g_i
@@ -230,7 +231,7 @@ impl<'a> Projections<'a> {
         true
     }
 
-    /// Projects onto the constraint of a corner of a cell whose corners are, or will be, at `x`.
+    /// Projects onto the constraint of a corner of a cell, for its closed or opened positions `x`.
     fn correct_corner(&mut self, c: usize, corner: usize, x: &[Vec3; 8]) {
         let sign = |a: usize| if corner >> a & 1 == 0 { 1.0 } else { -1.0 };
         let e = [0, 1, 2].map(|a| (x[corner ^ (1 << a)] - x[corner]) * sign(a));

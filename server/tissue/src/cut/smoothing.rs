@@ -1,5 +1,5 @@
 //! Smoothing a sheet: its nodes are spread over the swept surface before the cells around are made sound, and brought
-//! nearer to it afterwards (Lin 2007, fig. 5.10, reconstructed).
+//! nearer to it afterwards (not in Lin 2007).
 //!
 //! Where the lattice makes a step, snapping leaves the nodes of an edge in one place, and triangles of the wall as
 //! slivers. Spreading moves each free node within the wall to the mean of its neighbours there and back to its height
