@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// The protocol version of this crate. Every change of a message, or of the nodes that a cut gives, increments it.
-pub const PROTOCOL_VERSION: u16 = 15;
+pub const PROTOCOL_VERSION: u16 = 16;
 
 /// The first bytes of every palpate stream.
 pub const MAGIC: [u8; 4] = *b"PALP";

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use palpate_anatomy::sample::Sample;
 use palpate_anatomy::{SceneInput, build};
 use palpate_tissue::Topology;
-use strokes::sheet_laws::{Tally, check, check_crossings, count};
+use strokes::sheet_laws::{OPEN_M, Tally, check, check_crossings, count};
 
 /// Least shares of the nodes inside, on interfaces and at crossings that are on the swept surface, over all models of a
 /// test. Others are on interfaces that meet the blade flatly, on creases, or between walls, interfaces and the blade in one
@@ -32,9 +32,9 @@ fn check_models(models: &[(&str, SceneInput, u64)]) {
         let (model, _) = build(input, &mut |_, _| ()).unwrap();
         let uncut = Topology::new(Arc::new(model));
         let found = [
-            check(&uncut, count(*strokes), None),
-            check(&uncut, count(strokes.div_ceil(5)), Some(2e-3)),
-            check_crossings(&uncut, count(strokes.div_ceil(4))),
+            check(&uncut, count(*strokes), None, 0.0),
+            check(&uncut, count(strokes.div_ceil(5)), Some(2e-3), 0.0),
+            check_crossings(&uncut, count(strokes.div_ceil(4)), 0.0),
         ];
         for (tally, found) in tallies.iter_mut().zip(found) {
             println!(
@@ -44,6 +44,10 @@ fn check_models(models: &[(&str, SceneInput, u64)]) {
             );
             tally.add(&found);
         }
+        // The laws alone.
+        check(&uncut, count(strokes.div_ceil(5)), None, OPEN_M);
+        check(&uncut, count(strokes.div_ceil(10)), Some(2e-3), OPEN_M);
+        check_crossings(&uncut, count(strokes.div_ceil(8)), OPEN_M);
     }
     let least = [SHARES, SHARES, CROSSING_SHARES];
     for ((tally, least), greatest) in tallies.iter().zip(least).zip(ANGLES_DEG) {

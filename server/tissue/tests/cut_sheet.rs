@@ -7,7 +7,7 @@ mod strokes;
 use std::sync::Arc;
 
 use palpate_tissue::{Material, Topology, block};
-use strokes::sheet_laws::{check, check_crossings, count};
+use strokes::sheet_laws::{OPEN_M, check, check_crossings, count};
 
 fn uncut() -> Topology {
     let material = Material::default();
@@ -17,7 +17,7 @@ fn uncut() -> Topology {
 #[test]
 fn random_strokes_on_a_block_keep_the_laws_and_reach_the_swept_surface() {
     let count = count(2000);
-    let tally = check(&uncut(), count, None);
+    let tally = check(&uncut(), count, None, 0.0);
     println!("{tally:?} {:?} {}", tally.shares(), tally.angle_deg());
     assert!(tally.refused as u64 <= count / 5);
     let [inside, interface, _] = tally.shares();
@@ -30,7 +30,7 @@ fn random_strokes_on_a_block_keep_the_laws_and_reach_the_swept_surface() {
 #[test]
 fn strokes_that_cross_an_earlier_wound_keep_the_laws_and_reach_the_swept_surface() {
     let count = count(200);
-    let tally = check_crossings(&uncut(), count);
+    let tally = check_crossings(&uncut(), count, 0.0);
     println!("{tally:?} {:?} {}", tally.shares(), tally.angle_deg());
     assert!(tally.refused as u64 <= count / 3);
     let [inside, interface, crossing] = tally.shares();
@@ -42,9 +42,9 @@ fn strokes_that_cross_an_earlier_wound_keep_the_laws_and_reach_the_swept_surface
 #[test]
 fn strokes_in_pieces_open_nearly_the_sheet_of_the_whole_stroke() {
     let count = count(100);
-    let whole = check(&uncut(), count, None);
+    let whole = check(&uncut(), count, None, 0.0);
     for length_m in [1e-3, 3e-3] {
-        let tally = check(&uncut(), count, Some(length_m));
+        let tally = check(&uncut(), count, Some(length_m), 0.0);
         println!(
             "{length_m}: {tally:?} {:?} {}",
             tally.shares(),
@@ -56,5 +56,17 @@ fn strokes_in_pieces_open_nearly_the_sheet_of_the_whole_stroke() {
         assert!(inside > 0.98, "{inside}");
         assert!(interface > 0.94, "{interface}");
         assert!(tally.angle_deg() < 9.2, "{}", tally.angle_deg());
+    }
+}
+
+#[test]
+fn open_wounds_keep_the_laws() {
+    for tally in [
+        check(&uncut(), count(400), None, OPEN_M),
+        check(&uncut(), count(100), Some(1e-3), OPEN_M),
+        check_crossings(&uncut(), count(200), OPEN_M),
+    ] {
+        println!("{tally:?} {}", tally.angle_deg());
+        assert!(tally.faces > 5000);
     }
 }

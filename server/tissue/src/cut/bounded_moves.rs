@@ -90,7 +90,7 @@ impl Moves<'_> {
                     let length = (other - to).norm_squared();
                     length >= spring_floor || length > (other - before[slot]).norm_squared()
                 };
-                [0, 1, 2, 4].iter().all(|step| sound(slot ^ step)) && (1..7).all(long)
+                [0, 1, 2, 4].iter().all(|step| sound(slot ^ step)) && (1..8).all(long)
             })
     }
 }

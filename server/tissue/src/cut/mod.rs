@@ -203,7 +203,7 @@ impl Plan {
         let (moved, mut changed) = settle(topology, patch, &ribbon, &sheet, &mut nodes);
         let doubled = part::double(topology, &ids, &fans);
         part::open(topology, &sheet, &doubled);
-        changed.extend(width::widen(topology, stroke, &ribbon, &doubled));
+        changed.extend(width::widen(topology, stroke, &ribbon, &nodes, &doubled));
         changed.extend(doubled.iter().flat_map(|d| [d.0, d.1]));
         let around = derive_around(topology, &changed);
         topology.rehash(&before, &changed, &around.cells);

@@ -50,7 +50,7 @@ const STEP_MAX: f64 = 0.1;
 /// Farthest a node may leave its interfaces, in spacings.
 const LIFT_MAX: f64 = 0.07;
 /// A node farther from its interfaces than this, in spacings, stays where it was.
-const DRIFT_ALLOWED: f64 = 0.09;
+pub(crate) const DRIFT_ALLOWED: f64 = 0.09;
 /// A corner was flat, as built or before this cut, if it spanned less than this, in cubed spacings.
 const FLAT: f64 = 0.5;
 

@@ -84,7 +84,7 @@ fn inner_nodes(
         let mut edges: Vec<u32> = neighbours.iter().map(|&n| topology.origin(n)).collect();
         edges.sort_unstable();
         let is_inner = edges.chunk_by(|a, b| a == b).all(|faces| faces.len() == 2);
-        (is_inner && !neighbours.is_empty()).then_some((n, neighbours))
+        is_inner.then_some((n, neighbours))
     });
     inner.collect()
 }

@@ -17,7 +17,9 @@ use super::cell_fans::Fans;
 use super::freedom::{Freedom, freedom};
 use super::part::is_parted;
 use super::patch::Patch;
+use super::projections::DRIFT_ALLOWED;
 use super::ribbon::{Foot, Ribbon};
+use super::sheet_snap::SheetNode;
 use super::stroke::CutStroke;
 use crate::cell::NO_CELL;
 use crate::{Topology, Vec3};
@@ -34,19 +36,22 @@ pub(crate) fn widen(
     topology: &mut Topology,
     stroke: &CutStroke,
     ribbon: &Ribbon,
+    sheet: &[SheetNode],
     doubled: &[(u32, u32)],
 ) -> Vec<u32> {
     if stroke.width_m <= 0.0 {
         return Vec::new();
     }
     let spacing = topology.model.spacing_m;
-    let nodes: BTreeSet<u32> = doubled.iter().flat_map(|d| [d.0, d.1]).collect();
+    // Each with the node of the sheet that it was or was doubled from.
+    let both = |&(new, old): &(u32, u32)| [(new, old), (old, old)];
+    let nodes: BTreeSet<(u32, u32)> = doubled.iter().flat_map(both).collect();
     let mut moves = Moves {
         topology,
         old: HashMap::new(),
     };
     let mut targets = Vec::with_capacity(nodes.len());
-    for node in nodes {
+    for (node, old) in nodes {
         let at = moves.rest(node);
         let Some(foot) = ribbon.nearest(&at) else {
             continue;
@@ -58,7 +63,9 @@ pub(crate) fn widen(
             Freedom::Held(free) => free * offset,
             Freedom::Pinned => continue,
         };
-        targets.push((node, at + offset));
+        let own = sheet.binary_search_by_key(&old, |n| n.node);
+        let part = own.map_or(1.0, |n| part_left(&sheet[n], &at, &offset, spacing));
+        targets.push((node, at + offset * part));
     }
     // A node in a thin cell at a step of the lattice advances only with the other nodes of that cell.
     for _ in 0..SWEEPS {
@@ -69,6 +76,14 @@ pub(crate) fn widen(
     let mut moved: Vec<u32> = moves.old.into_keys().collect();
     moved.sort_unstable();
     moved
+}
+
+/// The part of an offset that takes a node no farther from its interfaces than it may be.
+fn part_left(node: &SheetNode, at: &Vec3, offset: &Vec3, spacing: f64) -> f64 {
+    let limit = (DRIFT_ALLOWED * spacing).max(node.interfaces.distance(at));
+    let mut parts = [1.0, 0.5, 0.25].into_iter();
+    let is_near = |part: &f64| node.interfaces.distance(&(at + offset * *part)) <= limit;
+    parts.find(is_near).unwrap_or(0.0)
 }
 
 /// Half of the width of a wound at a place, along the normal of the swept surface.

@@ -69,23 +69,28 @@ pub(crate) fn count(default: u64) -> u64 {
     set.map_or(default, |n| n.parse().expect("PALPATE_STROKES is a number"))
 }
 
-/// Cuts an uncut model with `count` random strokes, each from the beginning, as a whole or in pieces of a length in m.
-pub(crate) fn check(uncut: &Topology, count: u64, piece_m: Option<f64>) -> Tally {
+/// Width of the cuts of a client, m. A node on the lip of such a wound is off the swept surface by half of it.
+pub(crate) const OPEN_M: f64 = 5e-4;
+
+/// Cuts an uncut model with `count` random strokes of a width in m, each from the beginning, as a whole or in pieces of a
+/// length in m.
+pub(crate) fn check(uncut: &Topology, count: u64, piece_m: Option<f64>, width_m: f64) -> Tally {
     let mut tally = Tally::default();
     for seed in 0..count {
-        check_stroke(uncut, seed, piece_m, &mut tally);
+        check_stroke(uncut, seed, piece_m, width_m, &mut tally);
     }
     tally
 }
 
-/// Cuts an uncut model with `count` pairs of random strokes that cross, each pair from the beginning.
-pub(crate) fn check_crossings(uncut: &Topology, count: u64) -> Tally {
+/// Cuts an uncut model with `count` pairs of random strokes of a width in m that cross, each pair from the beginning.
+pub(crate) fn check_crossings(uncut: &Topology, count: u64, width_m: f64) -> Tally {
     let mut tally = Tally::default();
     for seed in 0..count {
         let mut random = Pcg64::seed_from_u64(seed);
         let spacing = uncut.model().spacing_m;
-        let first = random_stroke(uncut, &mut random);
-        let second = crossing_stroke(&first, spacing, &mut random);
+        let mut first = random_stroke(uncut, &mut random);
+        let mut second = crossing_stroke(&first, spacing, &mut random);
+        [first.width_m, second.width_m] = [width_m; 2];
         let mut t = uncut.clone();
         if cut(&mut t, &first).is_err() {
             tally.refused += 1;
@@ -110,9 +115,16 @@ fn mass(t: &Topology) -> f64 {
     (0..t.node_count() as u32).map(|n| t.mass(n)).sum()
 }
 
-fn check_stroke(uncut: &Topology, seed: u64, piece_m: Option<f64>, tally: &mut Tally) {
+fn check_stroke(
+    uncut: &Topology,
+    seed: u64,
+    piece_m: Option<f64>,
+    width_m: f64,
+    tally: &mut Tally,
+) {
     let spacing = uncut.model().spacing_m;
-    let stroke = random_stroke(uncut, &mut Pcg64::seed_from_u64(seed));
+    let mut stroke = random_stroke(uncut, &mut Pcg64::seed_from_u64(seed));
+    stroke.width_m = width_m;
     let strokes = match piece_m {
         None => vec![stroke.clone()],
         Some(length) => pieces(&stroke, length, spacing),
