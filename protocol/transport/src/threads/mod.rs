@@ -206,7 +206,7 @@ pub fn enter_workers(builder: &mut Builder, class: ThreadClass) {
     builder.on_thread_stop(leave);
 }
 
-/// A runtime with one thread at background priority, for pages.
+/// A runtime with one thread at background priority, for pages, and for attackers and visitors in tests.
 pub fn background_runtime() -> io::Result<Runtime> {
     let mut builder = Builder::new_multi_thread();
     enter_workers(&mut builder, ThreadClass::Background);

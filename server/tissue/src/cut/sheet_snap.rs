@@ -12,7 +12,7 @@
 //!
 //! Where the lattice makes a step, three edges of a cell would come to lie in the swept surface. Its nodes keep a small
 //! part s of their heights, x = q + s d n: on a plane the lattice is then squashed by an affine map of determinant s, so
-//! that no corner is inverted.
+//! that no corner is inverted by this step.
 
 use super::DRIFT_MAX;
 use super::freedom::{Freedom, freedom};
