@@ -11,7 +11,7 @@ use std::sync::{Arc, OnceLock};
 use rayon::prelude::*;
 
 use crate::cell::{FACES, NO_CELL, cell_volume};
-use crate::equilibrium::{EffectiveStiffness, Elastic};
+use crate::equilibrium::Elastic;
 use crate::pages::Pages;
 use crate::springs::{BODY_SHARE, DIAGONAL_SHARE, EDGE_SHARE, LENGTH_FLOOR, Spring};
 use crate::{Model, RegionId, Vec3};
@@ -131,8 +131,6 @@ pub struct Topology {
     /// Made of them when first asked for.
     boundary: OnceLock<Arc<Boundary>>,
     pub(crate) cut_index: crate::cut::CutIndex,
-    /// Measured when the first solver of the model needs it.
-    pub(crate) effective_stiffness: Arc<OnceLock<EffectiveStiffness>>,
 }
 
 /// The data that the hash of a topology covers, as they were before a change.
@@ -172,7 +170,6 @@ impl Topology {
             exposed: Exposed::default(),
             boundary: OnceLock::new(),
             cut_index: crate::cut::CutIndex::new(model.cells.len()),
-            effective_stiffness: Arc::default(),
             model,
         };
         for node in 0..nodes as u32 {

@@ -6,7 +6,6 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use super::coarse_level::{CoarseLevel, Deferred, apply, follow_coarser};
-use super::effective_stiffness::Effective;
 use super::hierarchy::{Hierarchy, Level};
 use super::matrix::Corners;
 use super::matrix::Matrix;
@@ -444,16 +443,24 @@ impl Level {
         by: &Corners,
         secant: Option<f32>,
     ) -> Corners {
-        let effective = |secant| self.effective[element as usize].times(secant);
-        let answer = secant.map_or(Effective::MATRIX, effective);
-        answer.force(simd, self.element(element).1, by)
+        let stiffness = &self.matrices[self.matrix[element as usize] as usize];
+        match secant {
+            Some(secant) => stiffness.effective_force(simd, secant, by),
+            None => stiffness
+                .matrix
+                .multiply(simd, &[0, 1, 2, 3, 4, 5, 6, 7], by)
+                .corners(),
+        }
     }
 
     /// Points and matrix of an element.
     #[inline(always)]
     pub(super) fn element(&self, element: u32) -> (&[u32; 8], &Matrix) {
         let e = element as usize;
-        (&self.corners[e], &self.matrices[self.matrix[e] as usize])
+        (
+            &self.corners[e],
+            &self.matrices[self.matrix[e] as usize].matrix,
+        )
     }
 }
 

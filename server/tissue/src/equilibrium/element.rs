@@ -30,7 +30,7 @@ const WEAK: f64 = 0.03;
 const POWER: usize = 12;
 
 /// Dense matrix of an element.
-type Dense = [[f64; SIZE]; SIZE];
+pub(super) type Dense = [[f64; SIZE]; SIZE];
 
 /// Pairs of corners, equal ones included.
 const CORNER_PAIRS: usize = 36;
@@ -87,21 +87,7 @@ impl Sum {
         let moves = |entry: usize| f64::from(1 - (fixed >> entry & 1));
         let (mi, mj) = (moves(i), moves(j));
         let d: [f64; 8] = std::array::from_fn(|c| mj * WEIGHTS[j][c] - mi * WEIGHTS[i][c]);
-        let v: [f64; 3] =
-            std::array::from_fn(|a| f64::from(form.rest[a][j]) - f64::from(form.rest[a][i]));
-        let square = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).max(1e-20);
-        let floor = TURNING * f64::from(sideways(square.sqrt() as f32, per_spacing));
-        let (along, all) = (k * (1.0 - floor) / square, k * floor);
-        let block: [f64; BLOCK] = [
-            along * v[0] * v[0] + all,
-            along * v[1] * v[1] + all,
-            along * v[2] * v[2] + all,
-            along * v[0] * v[1],
-            along * v[0] * v[2],
-            along * v[1] * v[2],
-            0.0,
-            0.0,
-        ];
+        let block = spring_block(form, [i, j], k, per_spacing);
         let mut pair = 0;
         for p in 0..8 {
             if d[p] != 0.0 {
@@ -142,34 +128,7 @@ impl Sum {
             if form.bulk[cell] == 0.0 {
                 continue;
             }
-            let point = |c: usize, a: usize| f64::from(form.rest[a][corners[c]]);
-            let edge: [[f64; 3]; 3] = std::array::from_fn(|axis| {
-                std::array::from_fn(|a| {
-                    (0..8)
-                        .map(|c| {
-                            if c >> axis & 1 == 1 {
-                                point(c, a)
-                            } else {
-                                -point(c, a)
-                            }
-                        })
-                        .sum::<f64>()
-                        / 4.0
-                })
-            });
-            let cross = |a: [f64; 3], b: [f64; 3]| {
-                [
-                    a[1] * b[2] - a[2] * b[1],
-                    a[2] * b[0] - a[0] * b[2],
-                    a[0] * b[1] - a[1] * b[0],
-                ]
-            };
-            let normals = [
-                cross(edge[1], edge[2]),
-                cross(edge[2], edge[0]),
-                cross(edge[0], edge[1]),
-            ];
-            let scale = f64::from(form.per_volume[cell]) / 4.0;
+            let gradients = volume_gradients(form, &corners);
             let mut b = [0.0; SIZE];
             for c in 0..8 {
                 let entry = corners[c];
@@ -177,14 +136,8 @@ impl Sum {
                     continue;
                 }
                 for a in 0..3 {
-                    let g: f64 = (0..3)
-                        .map(|axis| {
-                            let n = normals[axis][a] * scale;
-                            if c >> axis & 1 == 1 { n } else { -n }
-                        })
-                        .sum();
                     for p in 0..8 {
-                        b[at(p, a)] += WEIGHTS[entry][p] * g;
+                        b[at(p, a)] += WEIGHTS[entry][p] * gradients[c][a];
                     }
                 }
             }
@@ -243,6 +196,61 @@ impl Sum {
             }
         }
     }
+}
+
+/// The matrix of a spring of stiffness `k` at rest: xx, yy, zz, xy, xz, yz, padded.
+#[inline(always)]
+pub(super) fn spring_block(
+    form: &Form,
+    [i, j]: [usize; 2],
+    k: f64,
+    per_spacing: f32,
+) -> [f64; BLOCK] {
+    let v: [f64; 3] =
+        std::array::from_fn(|a| f64::from(form.rest[a][j]) - f64::from(form.rest[a][i]));
+    let square = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).max(1e-20);
+    let floor = TURNING * f64::from(sideways(square.sqrt() as f32, per_spacing));
+    let (along, all) = (k * (1.0 - floor) / square, k * floor);
+    [
+        along * v[0] * v[0] + all,
+        along * v[1] * v[1] + all,
+        along * v[2] * v[2] + all,
+        along * v[0] * v[1],
+        along * v[0] * v[2],
+        along * v[1] * v[2],
+        0.0,
+        0.0,
+    ]
+}
+
+/// Gradients of the relative volume of a cell at rest by the positions of its corners, in 1/m.
+#[inline(always)]
+pub(super) fn volume_gradients(form: &Form, corners: &[usize; 8]) -> [[f64; 3]; 8] {
+    let point = |c: usize, a: usize| f64::from(form.rest[a][corners[c]]);
+    let sign = |c: usize, axis: usize| if c >> axis & 1 == 1 { 1.0 } else { -1.0 };
+    let edge: [[f64; 3]; 3] = std::array::from_fn(|axis| {
+        std::array::from_fn(|a| (0..8).map(|c| sign(c, axis) * point(c, a)).sum::<f64>() / 4.0)
+    });
+    let cross = |a: [f64; 3], b: [f64; 3]| {
+        [
+            a[1] * b[2] - a[2] * b[1],
+            a[2] * b[0] - a[0] * b[2],
+            a[0] * b[1] - a[1] * b[0],
+        ]
+    };
+    let normals = [
+        cross(edge[1], edge[2]),
+        cross(edge[2], edge[0]),
+        cross(edge[0], edge[1]),
+    ];
+    let scale = f64::from(form.per_volume[corners[0]]) / 4.0;
+    std::array::from_fn(|c| {
+        std::array::from_fn(|a| {
+            (0..3)
+                .map(|axis| sign(c, axis) * (normals[axis][a] * scale))
+                .sum()
+        })
+    })
 }
 
 /// `Pᵀ K`, with the interpolation from a parent to its child at an octant.

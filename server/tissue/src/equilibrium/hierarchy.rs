@@ -12,9 +12,8 @@ use rayon::prelude::*;
 
 use super::brick::{Brick, Draft, Form, LOCALS};
 use super::coarsen::{Coarse, Joints, Piece, coarsen, octant};
-use super::effective_stiffness::{Effective, EffectiveStiffness};
-use super::kinds::{Kinds, Parts};
-use super::matrix::Matrix;
+use super::effective_stiffness::Stiffness;
+use super::kinds::{CUT, Kinds, Parts};
 use super::prolongation::{FREE, Prolongation};
 use super::quad::reserve;
 use super::smoothing::Smoothing;
@@ -28,9 +27,6 @@ const COARSEST_ELEMENTS: usize = 12;
 /// Bricks built per batch, so that temporary forms stay below some 30 MB.
 const BATCH: usize = 8192;
 
-/// Lattice coordinates of the elements of each level, in units of their own sides.
-pub(super) type LevelPlaces = Vec<Vec<[i32; 3]>>;
-
 /// Rows of numbers.
 pub(super) type Table = Rows<u32>;
 
@@ -39,9 +35,9 @@ pub(super) type Table = Rows<u32>;
 pub(super) struct Level {
     /// Points at the corners of each element.
     pub(super) corners: Vec<[u32; 8]>,
-    /// Matrix of each element.
+    /// Number of the stiffness of each element.
     pub(super) matrix: Vec<u32>,
-    pub(super) matrices: Vec<Matrix>,
+    pub(super) matrices: Vec<Stiffness>,
     /// Elements of the finer level in each element; on level 1 bricks.
     pub(super) children: Table,
     /// Element of the next coarser level that each element is part of; empty on the coarsest.
@@ -54,8 +50,6 @@ pub(super) struct Level {
     pub(super) around: Table,
     /// Diagonal bound of each point: the sum of its elements' bounds.
     pub(super) bound: Vec<[f32; 6]>,
-    /// Answer of each element when it is deferred.
-    pub(super) effective: Vec<Effective>,
 }
 
 impl Level {
@@ -137,32 +131,14 @@ impl Hierarchy {
             reserve(&mut level.parent);
             reserve(&mut level.octant);
             reserve(&mut level.bound);
-            reserve(&mut level.effective);
             level.children.reserve();
             level.around.reserve();
             level.prolongation.reserve();
         }
     }
 
-    /// Builds the hierarchy of a topology. The first one of a model also measures its effective stiffness.
+    /// Builds the hierarchy of a topology.
     pub(super) fn new(topology: &Topology) -> Self {
-        let (mut hierarchy, places) = Self::build(topology);
-        let effective = topology.effective_stiffness.get_or_init(|| {
-            if topology.version() == 0 {
-                return EffectiveStiffness::of(topology, &hierarchy, &places);
-            }
-            let uncut = Topology::new(Arc::clone(topology.model()));
-            let (hierarchy, places) = Self::build(&uncut);
-            EffectiveStiffness::of(&uncut, &hierarchy, &places)
-        });
-        for (l, (level, places)) in hierarchy.levels.iter_mut().zip(&places).enumerate() {
-            level.effective = effective.at(l, places);
-        }
-        hierarchy
-    }
-
-    /// Builds the hierarchy, in which deferred elements answer by their matrices, and the places of its elements.
-    fn build(topology: &Topology) -> (Self, LevelPlaces) {
         let cells = pieces_of(topology);
         let coarse = coarsen(&cells, topology.node_count(), |cell, axis, list| {
             joined(topology, cell, axis, list);
@@ -206,12 +182,11 @@ impl Hierarchy {
                 .iter()
                 .any(|r| r.material.bottoms_out),
         };
-        let places = hierarchy.add_levels(topology, coarse, &mut kinds);
-        (hierarchy, places)
+        hierarchy.add_levels(topology, coarse, &mut kinds);
+        hierarchy
     }
 
-    fn add_levels(&mut self, topology: &Topology, first: Coarse, kinds: &mut Kinds) -> LevelPlaces {
-        let mut places = LevelPlaces::new();
+    fn add_levels(&mut self, topology: &Topology, first: Coarse, kinds: &mut Kinds) {
         let mut children = Table::new(
             first.pieces.len(),
             (0..self.bricks.len()).map(|b| (self.element_of[b], b as u32)),
@@ -239,8 +214,7 @@ impl Hierarchy {
             let matrices = kinds.levels[l].matrices.clone();
             self.levels
                 .push(level_of(&now, next.as_ref(), matrix, matrices, children));
-            places.push(now.pieces.iter().map(|piece| piece.at).collect());
-            let Some(next) = next else { break places };
+            let Some(next) = next else { break };
             let level = &self.levels[l];
             children = Table::new(
                 next.pieces.len(),
@@ -276,9 +250,16 @@ pub(super) fn parts_over_bricks<'a>(
 ) -> Parts {
     let part = |brick: &Brick| {
         let fixed = (0..LOCALS)
-            .filter(|&i| topology.is_pinned(brick.nodes[i]))
+            .filter(|&i| brick.present >> i & 1 == 1 && topology.is_pinned(brick.nodes[i]))
             .fold(0, |bits, i| bits | 1 << i);
-        (brick.form, fixed)
+        let nodes = (0..LOCALS)
+            .filter(|&i| brick.present >> i & 1 == 1)
+            .map(|i| brick.nodes[i]);
+        let built = &topology.model().nodes;
+        let is_cut = nodes
+            .into_iter()
+            .any(|n| built.get(n as usize) != Some(&topology.rest(n)));
+        (brick.form, fixed | if is_cut { CUT } else { 0 })
     };
     bricks.map(part).collect()
 }
@@ -395,7 +376,7 @@ fn level_of(
     now: &Coarse,
     next: Option<&Coarse>,
     matrix: Vec<u32>,
-    matrices: Vec<Matrix>,
+    matrices: Vec<Stiffness>,
     children: Table,
 ) -> Level {
     let pairs = now
@@ -416,7 +397,6 @@ fn level_of(
         ),
         around: Table::new(now.points, pairs),
         bound: Vec::new(),
-        effective: vec![Effective::MATRIX; now.pieces.len()],
     };
     level.bound = (0..now.points as u32).map(|p| level.bound_of(p)).collect();
     level

@@ -13,12 +13,12 @@ use rayon::prelude::*;
 use super::brick::{Brick, CORNER, Form};
 use super::coarsen::{octant, place};
 use super::construction::{Construction, Places};
+use super::effective_stiffness::Stiffness;
 use super::fine_level::own_stiffness;
 use super::hierarchy::{
     Hierarchy, Level, Made, entries_of, joined, parts_over_bricks, parts_over_children, place_of,
 };
 use super::kinds::{Numbered, Parts, set_numbered};
-use super::matrix::Matrix;
 use super::prolongation::{FREE, set};
 use super::quad::Quad;
 use super::recoarsen::{Cells, Changed, Recoarsened, recoarsen};
@@ -40,7 +40,7 @@ pub(super) struct LevelChange {
     pub(super) children: Vec<(u32, Vec<u32>)>,
     /// Matrices of elements, and new matrices.
     pub(super) matrix: Vec<(u32, u32)>,
-    pub(super) matrices: Numbered<Matrix>,
+    pub(super) matrices: Numbered<Stiffness>,
     /// The point that each new point was split from.
     pub(super) origins: Vec<u32>,
     /// Elements around points.
@@ -457,10 +457,8 @@ impl Hierarchy {
         for (number, matrix) in &change.matrices {
             set_numbered(&mut level.matrices, *number, matrix);
         }
-        for &(e, origin, octant) in &change.new {
+        for &(e, _, octant) in &change.new {
             set(&mut level.octant, e, octant);
-            let answer = level.effective[origin as usize];
-            set(&mut level.effective, e, answer);
         }
         for &(e, matrix) in &change.matrix {
             set(&mut level.matrix, e, matrix);

@@ -8,9 +8,11 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::brick::{Brick, DIRECTIONS, Form, LOCALS, SPAN};
-use super::element::Sum;
+use super::effective_stiffness::{SOFTER, Stiffness};
+use super::element::{Dense, Sum};
 use super::lanes::LANES;
 use super::matrix::Matrix;
+use super::nodal_stiffness::NodalStiffness;
 use super::quad::{reserve, trim};
 use crate::number_map::NumberMap;
 
@@ -121,10 +123,10 @@ pub(super) struct Kinds {
     pub(super) levels: Vec<LevelKinds>,
 }
 
-/// Matrices of one level by their parts.
+/// Stiffness of the elements of one level by their parts.
 #[derive(Clone, Default)]
 pub(super) struct LevelKinds {
-    pub(super) matrices: Vec<Matrix>,
+    pub(super) matrices: Vec<Stiffness>,
     numbers: Numbers,
 }
 
@@ -140,7 +142,7 @@ impl LevelKinds {
     }
 
     /// Returns to the first `count` matrices, some of which were others since.
-    pub(super) fn restore(&mut self, count: usize, changed: &Numbered<Matrix>) {
+    pub(super) fn restore(&mut self, count: usize, changed: &Numbered<Stiffness>) {
         trim(&mut self.matrices, count);
         self.numbers.truncate(count);
         for (number, matrix) in changed {
@@ -149,8 +151,13 @@ impl LevelKinds {
     }
 }
 
-/// Parts of an element: forms and fixed nodes of its bricks, or matrices and octants of its children.
+/// Parts of an element: forms of its bricks with their fixed nodes and [`CUT`], or matrices and octants of its children.
 pub(super) type Parts = Vec<(u32, u32)>;
+
+/// Marks a brick with a node that a cut added or moved.
+pub(super) const CUT: u32 = 1 << 31;
+/// The marks of fixed nodes.
+const NODES: u32 = (1 << LOCALS) - 1;
 
 impl Kinds {
     /// Kinds of bricks with these forms.
@@ -167,7 +174,7 @@ impl Kinds {
     }
 
     /// Adds the next level, whose elements have these matrices and parts.
-    pub(super) fn add_level(&mut self, matrices: &[Matrix], matrix: &[u32], parts: &[Parts]) {
+    pub(super) fn add_level(&mut self, matrices: &[Stiffness], matrix: &[u32], parts: &[Parts]) {
         let uses = matrix.iter().copied().zip(parts.iter().map(key_of));
         let numbers = Numbers::used(matrices.len(), uses);
         let mut matrices = matrices.to_vec();
@@ -226,7 +233,7 @@ impl Kinds {
         l: usize,
         parts: impl Iterator<Item = &'a Parts>,
         per_spacing: f32,
-    ) -> (Vec<u32>, Numbered<Matrix>) {
+    ) -> (Vec<u32>, Numbered<Stiffness>) {
         if self.levels.len() == l {
             self.levels.push(LevelKinds::default());
         }
@@ -242,16 +249,16 @@ impl Kinds {
         let index = parts.map(number).collect();
         let forms = &self.forms;
         let arch = Arch::new();
-        let made: Numbered<Matrix> = new
+        let made: Numbered<Stiffness> = new
             .par_iter()
             .map(|&(number, list)| {
-                let matrix = arch.dispatch(MatrixOf {
+                let stiffness = arch.dispatch(StiffnessOf {
                     list,
                     forms,
                     finer,
                     per_spacing,
                 });
-                (number, matrix)
+                (number, stiffness)
             })
             .collect();
         // New numbers beyond the known ones ascend.
@@ -273,34 +280,97 @@ fn key_of(parts: &Parts) -> Key {
     })
 }
 
-/// The matrix of an element with these parts.
-struct MatrixOf<'a> {
+/// The stiffness of an element with these parts.
+struct StiffnessOf<'a> {
     list: &'a Parts,
     forms: &'a [Arc<Form>],
     finer: Option<&'a LevelKinds>,
     per_spacing: f32,
 }
 
-impl WithSimd for MatrixOf<'_> {
-    type Output = Matrix;
+impl WithSimd for StiffnessOf<'_> {
+    type Output = Stiffness;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Matrix {
-        let Self { list, forms, .. } = self;
+    fn with_simd<S: Simd>(self, simd: S) -> Stiffness {
         let mut sum = Sum::new();
-        for &(part, how) in list {
-            match self.finer {
-                None => sum.add_brick(simd, &forms[part as usize], how, self.per_spacing),
-                Some(level) => sum.add_child(simd, &level.matrices[part as usize], how as usize),
+        // No closures: they would not have the vectors of this machine.
+        let (condensed, turns, even) = match self.finer {
+            None => self.add_bricks(simd, &mut sum),
+            Some(level) => self.add_children(simd, &mut sum, level),
+        };
+        let alike = even && self.list.iter().all(|part| part.0 == self.list[0].0);
+        let matrix = sum.finish(simd, alike);
+        Stiffness {
+            matrix,
+            condensed,
+            turns,
+        }
+    }
+}
+
+impl StiffnessOf<'_> {
+    /// Adds the bricks of an element of level 1. Returns its condensed stiffness unless it is cut, whether it can turn, and
+    /// whether its first brick consists of cubes.
+    #[inline(always)]
+    fn add_bricks<S: Simd>(&self, simd: S, sum: &mut Sum) -> (Option<Matrix>, bool, bool) {
+        let mut all_marks = 0;
+        for &(form, marks) in self.list {
+            let form = &self.forms[form as usize];
+            sum.add_brick(simd, form, marks & NODES, self.per_spacing);
+            all_marks |= marks;
+        }
+        let condensed = if all_marks & CUT == 0 {
+            let mut nodal = NodalStiffness::new();
+            for &(form, marks) in self.list {
+                let form = &self.forms[form as usize];
+                nodal.add_brick(form, marks & NODES, self.per_spacing);
+            }
+            Some(unbounded(&nodal.condensed(simd, SOFTER)))
+        } else {
+            None
+        };
+        let first = &self.forms[self.list[0].0 as usize];
+        (
+            condensed,
+            all_marks & NODES == 0,
+            first.is_regular(self.per_spacing),
+        )
+    }
+
+    /// Adds the children of an element of a higher level, as [`Self::add_bricks`] does.
+    #[inline(always)]
+    fn add_children<S: Simd>(
+        &self,
+        simd: S,
+        sum: &mut Sum,
+        level: &LevelKinds,
+    ) -> (Option<Matrix>, bool, bool) {
+        let (mut is_cut, mut turns) = (false, true);
+        for &(child, octant) in self.list {
+            let child = &level.matrices[child as usize];
+            sum.add_child(simd, &child.matrix, octant as usize);
+            is_cut |= child.condensed.is_none();
+            turns &= child.turns;
+        }
+        let even = level.matrices[self.list[0].0 as usize].matrix.even();
+        if is_cut {
+            return (None, turns, even);
+        }
+        let mut nodal = NodalStiffness::new();
+        for &(child, octant) in self.list {
+            if let Some(k) = &level.matrices[child as usize].condensed {
+                nodal.add_child(&k.dense(), octant as usize);
             }
         }
-        let alike = list.iter().all(|part| part.0 == list[0].0)
-            && match self.finer {
-                None => forms[list[0].0 as usize].is_regular(self.per_spacing),
-                Some(level) => level.matrices[list[0].0 as usize].even(),
-            };
-        sum.finish(simd, alike)
+        let k = nodal.condensed(simd, 1.0);
+        (Some(unbounded(&k)), turns, even)
     }
+}
+
+/// A matrix that the smoother does not use.
+fn unbounded(k: &Dense) -> Matrix {
+    Matrix::new(k, [[0.0; 6]; 8], false)
 }
 
 /// Size of the numbers that a key covers.

@@ -7,7 +7,7 @@
 //! | `brick`, `kernel`, `lanes` | forces of eight cells at a time, in vectors |
 //! | `hierarchy`, `coarsen`, `element`, `matrix` | coarse lattices and their Galerkin operators, per element |
 //! | `prolongation` | trilinear interpolation between two levels; its transpose restricts |
-//! | `effective_stiffness`, `secant_stiffness` | answer of elements that a quick step defers |
+//! | `effective_stiffness`, `nodal_stiffness`, `secant_stiffness` | answer of elements that a quick step defers |
 //! | `coarse_level`, `cycle`, `outer_residual` | active part of a level, V-cycle, forces outside the active part |
 //! | `contact_stiffness`, `coarse_stiffening` | contacts, held nodes and hardened tissue on the coarse levels |
 //! | `fine_level`, `active_set`, `corrections` | forces on nodes, refinement, coarse corrections |
@@ -77,6 +77,7 @@ mod law;
 mod matrix;
 mod mechanism;
 mod modulus;
+mod nodal_stiffness;
 mod outer_residual;
 mod prescribed;
 mod prolongation;
@@ -99,7 +100,6 @@ mod work_limit;
 pub(crate) use budget::STEADY;
 pub use budget::{Budget, StepReport};
 pub use cut_preparer::{CutPreparer, PreparedCut, Retired, TopologyCut};
-pub(crate) use effective_stiffness::EffectiveStiffness;
 pub(crate) use lanes::Wide;
 pub(crate) use law::Elastic;
 pub(crate) use mechanism::Disabled;

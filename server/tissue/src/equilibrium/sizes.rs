@@ -61,7 +61,6 @@ impl Hierarchy {
             level.children.truncate(keeps_here.elements);
             trim(&mut level.parent, keeps_here.elements);
             trim(&mut level.octant, keeps_here.elements);
-            trim(&mut level.effective, keeps_here.elements);
             level.around.truncate(keeps_here.points);
             trim(&mut level.bound, keeps_here.points);
             let above = keeps.levels.get(l + 1).map_or(0, |above| above.elements);

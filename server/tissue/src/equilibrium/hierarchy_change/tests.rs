@@ -54,8 +54,16 @@ fn assert_same(topology: &Topology, a: &Hierarchy, b: &Hierarchy) {
                 assert_eq!(*point_of.entry(p).or_insert(q), q, "a point of level {l}");
             }
             assert_eq!(x.octant[e as usize], y.octant[f as usize]);
-            assert_eq!(x.effective[e as usize], y.effective[f as usize]);
             let (m, n) = (x.element(e).1, y.element(f).1);
+            let answers = [(x, e), (y, f)].map(|(level, e)| {
+                let by = std::array::from_fn(|c| [c as f32, (c % 3) as f32, (c % 5) as f32, 0.0]);
+                level.force(pulp::Scalar::new(), e, &by, Some(1.0))
+            });
+            let [m_force, n_force] = answers.each_ref().map(|of| of.as_flattened());
+            let most = n_force.iter().fold(1.0f32, |most, v| most.max(v.abs()));
+            for (m, n) in m_force.iter().zip(n_force) {
+                assert!((m - n).abs() <= 1e-3 * most, "{m} and {n} of {most}");
+            }
             for (m, n) in m.bound().iter().flatten().zip(n.bound().iter().flatten()) {
                 assert!((m - n).abs() <= 1e-3 * n.abs().max(1.0), "{m} and {n}");
             }
