@@ -243,22 +243,18 @@ pub(super) fn entries_of(b: u32, brick: &Brick) -> impl Iterator<Item = (u32, u3
         .map(move |i| (brick.nodes[i as usize], b * 32 + i))
 }
 
-/// Forms and fixed nodes of the bricks of an element of level 1.
+/// Forms of the bricks of an element of level 1, with their fixed nodes and [`CUT`].
 pub(super) fn parts_over_bricks<'a>(
     topology: &Topology,
     bricks: impl Iterator<Item = &'a Brick>,
 ) -> Parts {
+    let built = &topology.model().nodes;
     let part = |brick: &Brick| {
-        let fixed = (0..LOCALS)
-            .filter(|&i| brick.present >> i & 1 == 1 && topology.is_pinned(brick.nodes[i]))
-            .fold(0, |bits, i| bits | 1 << i);
-        let nodes = (0..LOCALS)
-            .filter(|&i| brick.present >> i & 1 == 1)
-            .map(|i| brick.nodes[i]);
-        let built = &topology.model().nodes;
-        let is_cut = nodes
-            .into_iter()
-            .any(|n| built.get(n as usize) != Some(&topology.rest(n)));
+        let present = || (0..LOCALS).filter(|&i| brick.present >> i & 1 == 1);
+        let is_fixed = |&i: &usize| topology.is_pinned(brick.nodes[i]);
+        let fixed = present().filter(is_fixed).fold(0, |bits, i| bits | 1 << i);
+        let is_moved = |node: u32| built.get(node as usize) != Some(&topology.rest(node));
+        let is_cut = present().any(|i| is_moved(brick.nodes[i]));
         (brick.form, fixed | if is_cut { CUT } else { 0 })
     };
     bricks.map(part).collect()

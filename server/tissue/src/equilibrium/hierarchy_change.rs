@@ -38,7 +38,7 @@ pub(super) struct LevelChange {
     pub(super) new: Vec<(u32, u32, u8)>,
     /// Children of elements; on level 1 bricks.
     pub(super) children: Vec<(u32, Vec<u32>)>,
-    /// Matrices of elements, and new matrices.
+    /// Numbers of the stiffness of elements, and new stiffness.
     pub(super) matrix: Vec<(u32, u32)>,
     pub(super) matrices: Numbered<Stiffness>,
     /// The point that each new point was split from.

@@ -294,83 +294,82 @@ impl WithSimd for StiffnessOf<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Stiffness {
         let mut sum = Sum::new();
-        // No closures: they would not have the vectors of this machine.
-        let (condensed, turns, even) = match self.finer {
+        // SIMD code stays out of closures: they are compiled without the vectors of this machine.
+        match self.finer {
             None => self.add_bricks(simd, &mut sum),
             Some(level) => self.add_children(simd, &mut sum, level),
+        }
+        let first = self.list[0].0;
+        let alike = self.list.iter().all(|part| part.0 == first)
+            && match self.finer {
+                None => self.forms[first as usize].is_regular(self.per_spacing),
+                Some(level) => level.matrices[first as usize].matrix.even(),
+            };
+        let (is_cut, is_free) = match self.finer {
+            None => {
+                let marks = self.list.iter().fold(0, |all, part| all | part.1);
+                (marks & CUT != 0, marks & NODES == 0)
+            }
+            Some(level) => {
+                let mut children = self.list.iter().map(|c| &level.matrices[c.0 as usize]);
+                let is_cut = children.clone().any(|child| child.condensed.is_none());
+                (is_cut, children.all(|child| child.is_free))
+            }
         };
-        let alike = even && self.list.iter().all(|part| part.0 == self.list[0].0);
-        let matrix = sum.finish(simd, alike);
+        let mut condensed = None;
+        if !is_cut {
+            let k = match self.finer {
+                None => self.condensed_bricks(simd),
+                Some(level) => self.condensed_children(simd, level),
+            };
+            // The smoother does not use it, and needs no bound.
+            condensed = Some(Matrix::new(&k, [[0.0; 6]; 8], alike));
+        }
         Stiffness {
-            matrix,
+            matrix: sum.finish(simd, alike),
             condensed,
-            turns,
+            is_free,
         }
     }
 }
 
 impl StiffnessOf<'_> {
-    /// Adds the bricks of an element of level 1. Returns its condensed stiffness unless it is cut, whether it can turn, and
-    /// whether its first brick consists of cubes.
     #[inline(always)]
-    fn add_bricks<S: Simd>(&self, simd: S, sum: &mut Sum) -> (Option<Matrix>, bool, bool) {
-        let mut all_marks = 0;
+    fn add_bricks<S: Simd>(&self, simd: S, sum: &mut Sum) {
         for &(form, marks) in self.list {
             let form = &self.forms[form as usize];
             sum.add_brick(simd, form, marks & NODES, self.per_spacing);
-            all_marks |= marks;
         }
-        let condensed = if all_marks & CUT == 0 {
-            let mut nodal = NodalStiffness::new();
-            for &(form, marks) in self.list {
-                let form = &self.forms[form as usize];
-                nodal.add_brick(form, marks & NODES, self.per_spacing);
-            }
-            Some(unbounded(&nodal.condensed(simd, SOFTER)))
-        } else {
-            None
-        };
-        let first = &self.forms[self.list[0].0 as usize];
-        (
-            condensed,
-            all_marks & NODES == 0,
-            first.is_regular(self.per_spacing),
-        )
     }
 
-    /// Adds the children of an element of a higher level, as [`Self::add_bricks`] does.
     #[inline(always)]
-    fn add_children<S: Simd>(
-        &self,
-        simd: S,
-        sum: &mut Sum,
-        level: &LevelKinds,
-    ) -> (Option<Matrix>, bool, bool) {
-        let (mut is_cut, mut turns) = (false, true);
+    fn add_children<S: Simd>(&self, simd: S, sum: &mut Sum, level: &LevelKinds) {
         for &(child, octant) in self.list {
             let child = &level.matrices[child as usize];
             sum.add_child(simd, &child.matrix, octant as usize);
-            is_cut |= child.condensed.is_none();
-            turns &= child.turns;
         }
-        let even = level.matrices[self.list[0].0 as usize].matrix.even();
-        if is_cut {
-            return (None, turns, even);
+    }
+
+    #[inline(always)]
+    fn condensed_bricks<S: Simd>(&self, simd: S) -> Dense {
+        let mut nodal = NodalStiffness::new();
+        for &(form, marks) in self.list {
+            let form = &self.forms[form as usize];
+            nodal.add_brick(form, marks & NODES, self.per_spacing);
         }
+        nodal.condensed(simd, SOFTER)
+    }
+
+    #[inline(always)]
+    fn condensed_children<S: Simd>(&self, simd: S, level: &LevelKinds) -> Dense {
         let mut nodal = NodalStiffness::new();
         for &(child, octant) in self.list {
             if let Some(k) = &level.matrices[child as usize].condensed {
                 nodal.add_child(&k.dense(), octant as usize);
             }
         }
-        let k = nodal.condensed(simd, 1.0);
-        (Some(unbounded(&k)), turns, even)
+        nodal.condensed(simd, 1.0)
     }
-}
-
-/// A matrix that the smoother does not use.
-fn unbounded(k: &Dense) -> Matrix {
-    Matrix::new(k, [[0.0; 6]; 8], false)
 }
 
 /// Size of the numbers that a key covers.

@@ -20,8 +20,9 @@ const UNKNOWNS: usize = 3 * LOCALS;
 const ROW: usize = 88;
 /// Functions of W.
 const BUBBLES: usize = LOCALS - 8;
-/// Stiffness that keeps nodes without tissue at their interpolated places, relative to the largest entry of A.
-const ABSENT: f64 = 1e6;
+/// Stiffness that keeps nodes without tissue at their interpolated places, relative to the largest entry of A. Fixed nodes have
+/// no entries in A and are held like them; it does no work.
+const HELD: f64 = 1e6;
 /// Stiffness of motions without energy, relative to the largest entry of A.
 const NOTHING: f64 = 1e-9;
 /// Values of the three functions of an axis at each of its nodes.
@@ -137,7 +138,7 @@ impl NodalStiffness {
         let mut t = transposed(&t);
         change_rows(simd, &mut t);
         for node in absent {
-            hold(&mut t, node, ABSENT * largest);
+            hold(&mut t, node, HELD * largest);
         }
         for p in (0..3 * BUBBLES).step_by(3) {
             eliminate(simd, &mut t, p, NOTHING * largest);
