@@ -23,8 +23,8 @@ use super::matrix::{Corners, Matrix};
 /// Trilinear displacements between elements of level 1 are still stiffer than the tissue. From 0.85 to 1 hands are most
 /// accurate at 0.9; see DECISIONS.md.
 pub(super) const SOFTER: f64 = 0.9;
-/// Factor of the Galerkin matrices of elements that a cut changed. From 0.65 to 0.85 hands
-/// differ little; to condense these elements makes a blade sample half as expensive again.
+/// Factor of the Galerkin matrices of elements that a cut changed. From 0.65 to 0.85 hands differ little; to condense these
+/// elements makes a blade sample half as expensive again.
 const CUT_FACTOR: f32 = 0.7;
 
 /// Stiffness of a coarse element.
@@ -136,22 +136,11 @@ mod tests {
         Hierarchy::new(&Topology::new(Arc::new(model)))
     }
 
-    /// The topmost element that contains no rim of the block.
-    fn top(hierarchy: &Hierarchy) -> usize {
-        let level = &hierarchy.levels[0];
-        let place = |e: usize| {
-            let brick = &hierarchy.bricks[level.children.row(e as u32)[0] as usize];
-            hierarchy.around.row(brick.nodes[13]).len()
-        };
-        let last = level.corners.len() - 1;
-        (0..=last).rev().find(|&e| place(e) == 1).unwrap_or(last)
-    }
-
     #[test]
     fn uniform_strain_of_uniform_tissue_costs_the_energy_of_the_matrix() {
         let hierarchy = layered(0, 1.0);
         let level = &hierarchy.levels[0];
-        let e = top(&hierarchy);
+        let e = level.corners.len() - 1;
         for axis in 0..3 {
             let by = corners(|at| std::array::from_fn(|a| if a == axis { at[a] } else { 0.0 }));
             let own = level.force(pulp::Scalar::new(), e as u32, &by, None);
@@ -167,7 +156,7 @@ mod tests {
     fn stiff_sheet_on_a_soft_layer_bends_but_does_not_stretch() {
         let hierarchy = layered(7, 40.0);
         let level = &hierarchy.levels[0];
-        let e = top(&hierarchy);
+        let e = level.corners.len() - 1;
         let part = |by: &Corners| {
             let own = level.force(pulp::Scalar::new(), e as u32, by, None);
             work(&forces(level, e, by), by) / work(&own, by)
@@ -181,24 +170,61 @@ mod tests {
         );
     }
 
+    /// 16-bit matrices of mixed tissue are exact under translations, but not quite symmetric: their forces do not balance.
+    #[test]
+    fn forces_balance_in_mixed_tissue_and_vanish_under_translations() {
+        let mut model = block([8; 3], CELL, &Material::default(), 1);
+        let mut stiff = model.regions[0].clone();
+        stiff.material.young_pa *= 20.0;
+        stiff.pinned = false;
+        model.regions.push(stiff);
+        for cell in model.cells.iter_mut().step_by(3) {
+            cell.region = crate::RegionId(model.regions.len() as u16 - 1);
+        }
+        let hierarchy = Hierarchy::new(&Topology::new(Arc::new(model)));
+        let largest = |force: &Corners| {
+            let values = force.as_flattened().iter();
+            values.fold(0.0f32, |most, v| most.max(v.abs()))
+        };
+        let shift = corners(|_| [1.0, -0.5, 0.7]);
+        let strain = corners(|[x, y, z]| [x + 0.3 * y * z, 0.2 * x - z, 0.5 * x * y]);
+        let mut free = 0;
+        for level in &hierarchy.levels {
+            for e in 0..level.corners.len() {
+                if !level.matrices[level.matrix[e] as usize].is_free {
+                    continue;
+                }
+                let [moved, strained] = [&shift, &strain].map(|by| forces(level, e, by));
+                let sums = [0, 1, 2].map(|a| strained.iter().map(|f| f[a]).sum::<f32>());
+                let rest = sums
+                    .iter()
+                    .fold(largest(&moved), |most, v| most.max(v.abs()));
+                let all = largest(&strained);
+                assert!(rest < 1e-5 * all, "{rest} of {all} N");
+                free += 1;
+            }
+        }
+        assert!(free > 0);
+    }
+
     proptest! {
-        /// Forces balance but for 16-bit rounding, do no work on a rotation, and push along no displacement; and they are at
-        /// most those of the matrix.
+        /// Forces balance, do not know rigid motions, and push along no displacement; and they are at most those of the matrix.
         #[test]
         fn forces_balance_and_resist(
             x in prop::array::uniform24(-1.0..1.0f32), turn in prop::array::uniform3(-1.0..1.0f32),
+            shift in prop::array::uniform3(-1.0..1.0f32),
         ) {
             let hierarchy = layered(5, 30.0);
             let mut by = [ZERO; 8];
             for (i, v) in x.iter().enumerate() {
                 by[i / 3][i % 3] = *v;
             }
-            let mut turned = by;
-            for (c, v) in turned.iter_mut().enumerate() {
+            let mut moved = by;
+            for (c, v) in moved.iter_mut().enumerate() {
                 let [x, y, z] = [side(c, 0), side(c, 1), side(c, 2)];
-                v[0] += turn[1] * z - turn[2] * y;
-                v[1] += turn[2] * x - turn[0] * z;
-                v[2] += turn[0] * y - turn[1] * x;
+                v[0] += shift[0] + turn[1] * z - turn[2] * y;
+                v[1] += shift[1] + turn[2] * x - turn[0] * z;
+                v[2] += shift[2] + turn[0] * y - turn[1] * x;
             }
             for level in &hierarchy.levels {
                 for e in 0..level.corners.len() {
@@ -214,7 +240,7 @@ mod tests {
                             let sum: f32 = force.iter().map(|f| f[a]).sum();
                             prop_assert!(sum.abs() < 1e-4 * largest);
                         }
-                        for (f, g) in force.iter().flatten().zip(forces(level, e, &turned).as_flattened()) {
+                        for (f, g) in force.iter().flatten().zip(forces(level, e, &moved).as_flattened()) {
                             prop_assert!((f - g).abs() < 1e-4 * largest);
                         }
                     }

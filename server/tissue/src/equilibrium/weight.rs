@@ -24,7 +24,7 @@ pub(super) fn weights(topology: &Topology) -> Vec<Quad> {
 }
 
 /// Whether each node is connected through cells to a pinned node.
-pub(super) fn hanging_nodes(topology: &Topology) -> Vec<bool> {
+fn hanging_nodes(topology: &Topology) -> Vec<bool> {
     let nodes = 0..topology.node_count() as u32;
     let pinned: Vec<bool> = nodes.map(|n| topology.is_pinned(n)).collect();
     hanging(
