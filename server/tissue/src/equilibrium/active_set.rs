@@ -1,7 +1,7 @@
 //! The active set: the refined elements of level 1 and their bricks.
 
 use super::brick::LOCALS;
-use super::coarse_level::CoarseLevel;
+use super::coarse_level::{CoarseLevel, List};
 use super::cycle::Multigrid;
 use super::fine_level::{FineLevel, OuterForces, SetChange, square};
 use super::hierarchy::Hierarchy;
@@ -20,8 +20,10 @@ pub(super) struct Criteria {
     pub(super) threshold: f32,
     /// Whether the step is quick.
     pub(super) quick: bool,
-    /// Whether all elements stay, within a quick step; otherwise only those near the required ones.
+    /// Whether all elements stay, within a quick step; otherwise only the strained ones and those near the required ones.
     pub(super) keeps_all: bool,
+    /// Part of the set that fits in the work limit.
+    pub(super) fitting: f64,
 }
 
 impl FineLevel {
@@ -40,6 +42,7 @@ impl FineLevel {
             threshold,
             quick,
             keeps_all,
+            fitting,
         } = *criteria;
         for &node in &self.nodes.items {
             self.unbalanced.insert(node);
@@ -81,9 +84,7 @@ impl FineLevel {
         self.outdated = false;
         let grid = &mut coarse.grids[0];
         if !keeps_all {
-            let mut refined = std::mem::take(&mut grid.refined);
-            refined.retain(|element| self.is_strained(hierarchy, element, u));
-            grid.refined = refined;
+            self.keep_strained(hierarchy, &mut grid.refined, fitting, u);
         }
         for &element in &self.required.items {
             grid.refined.insert(element);
@@ -92,13 +93,27 @@ impl FineLevel {
         true
     }
 
-    /// Whether an element of level 1 is too deformed for its matrix at rest.
-    fn is_strained(&self, hierarchy: &Hierarchy, element: u32, u: &[Vec3]) -> bool {
+    /// Keeps the elements of level 1 that are too deformed for their matrix at rest, if they all fit in the work limit;
+    /// otherwise the most deformed ones.
+    fn keep_strained(&self, hierarchy: &Hierarchy, refined: &mut List, fitting: f64, u: &[Vec3]) {
         let limit = f64::from(self.keep_strained) * 2.0 / f64::from(hierarchy.per_spacing);
-        let bricks = hierarchy.levels[0].children.row(element);
-        bricks
-            .iter()
-            .any(|&brick| hierarchy.change_of(brick, u) > limit)
+        let change = |element: u32| {
+            let bricks = hierarchy.levels[0].children.row(element).iter();
+            bricks
+                .map(|&brick| hierarchy.change_of(brick, u))
+                .fold(0.0, f64::max)
+        };
+        let most = (fitting * refined.items.len() as f64) as usize;
+        let mut strained: Vec<(u32, f64)> =
+            refined.take().into_iter().map(|e| (e, change(e))).collect();
+        strained.retain(|s| s.1 > limit);
+        if strained.len() > most {
+            strained.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+            strained.truncate(most);
+        }
+        for (element, _) in strained {
+            refined.insert(element);
+        }
     }
 
     /// Collects the elements around nodes whose force exceeds the threshold.

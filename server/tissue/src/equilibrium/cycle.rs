@@ -12,19 +12,14 @@ use super::matrix::Matrix;
 use super::prolongation::Prolongation;
 use super::quad::{Quad, ZERO, plus};
 
-/// Lowest eigenvalue that the smoother damps, relative to the bound of all eigenvalues.
+/// Lowest eigenvalue that the smoother damps without volume terms, relative to the bound of all eigenvalues.
 pub(super) const LOW: f32 = 0.15;
-/// The same on the coarsest level.
+/// Lowest eigenvalue that is damped on the coarsest level.
 const LOW_COARSEST: f32 = 0.02;
-/// Work of a V-cycle.
-#[derive(Clone, Copy)]
-pub(super) struct Effort {
-    /// Smoothing steps on each level before and after the coarse correction.
-    pub(super) before: usize,
-    pub(super) after: usize,
-    /// Steps on the coarsest level, in place of a direct solve.
-    pub(super) coarsest: usize,
-}
+/// Smoothing steps on each level before and after the coarse correction.
+const STEPS: usize = 3;
+/// Steps on the coarsest level, in place of a direct solve.
+const STEPS_COARSEST: usize = 10;
 
 /// Coefficients of a Chebyshev iteration on [low, 1] times the bound.
 pub(super) struct Chebyshev {
@@ -189,9 +184,11 @@ impl Multigrid {
         }
     }
 
-    /// One V-cycle for the loads on level 1; leaves the correction in the `e` of every level.
-    pub(super) fn cycle(&mut self, hierarchy: &Hierarchy, effort: Effort) {
+    /// One V-cycle for the loads on level 1; leaves the correction in the `e` of every level. `smooths_before` tells
+    /// whether levels are also smoothed before the coarse correction.
+    pub(super) fn cycle(&mut self, hierarchy: &Hierarchy, smooths_before: bool) {
         let last = self.grids.len() - 1;
+        let low = hierarchy.smoothing.low;
         for l in 0..=last {
             let level = &hierarchy.levels[l];
             let (finer, coarser) = self.grids.split_at_mut(l + 1);
@@ -211,9 +208,9 @@ impl Multigrid {
                 };
             }
             let (steps, low) = if l == last {
-                (effort.coarsest, LOW_COARSEST)
+                (STEPS_COARSEST, LOW_COARSEST)
             } else {
-                (effort.before, LOW)
+                (if smooths_before { STEPS } else { 0 }, low)
             };
             self.visits += (1 + steps) * grid.set.items.len();
             self.arch.dispatch(Smooth {
@@ -246,12 +243,12 @@ impl Multigrid {
                 grid.d[p] = v;
                 grid.e[p] = plus(&grid.e[p], 1.0, &v);
             }
-            self.visits += effort.after * grid.set.items.len();
+            self.visits += STEPS * grid.set.items.len();
             self.arch.dispatch(Smooth {
                 level,
                 grid,
-                steps: effort.after,
-                low: LOW,
+                steps: STEPS,
+                low,
                 moved: true,
             });
         }

@@ -30,7 +30,7 @@ macro_rules! mechanisms {
 mechanisms! {
     /// Extrapolation of the last displacement increment under tools.
     WarmStart "warm-start",
-    /// A smoothing step on each coarse level before the correction from the next coarser one.
+    /// Smoothing of each coarse level before the correction from the next coarser one.
     PreSmoothing "pre-smoothing",
     /// Three smoothing steps of the contact nodes at the end of a step.
     ContactSmoothing "contact-smoothing",
@@ -42,7 +42,7 @@ mechanisms! {
     CoreGuard "core-guard",
     /// A retreating tool searches as far as tissue may be behind it.
     RetreatSearch "retreat-search",
-    /// Rigid groups of stiff bricks if the line search accepts less than half a step.
+    /// Rigid groups of stiff bricks if the warm start accepts less than half of the last increment.
     RigidAggregation "rigid-aggregation",
     /// Contact stiffness on the coarse levels.
     ContactStiffness "contact-stiffness",

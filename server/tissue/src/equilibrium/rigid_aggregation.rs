@@ -1,11 +1,10 @@
-//! Line search along a correction, with rigid aggregation of the stiffest bricks.
+//! Line search along an increment, with rigid aggregation of the stiffest bricks.
 //!
-//! Coarse operators are those of the rest state, and the warm start extrapolates along a straight line. Tissue pressed
-//! nearly flat is hundreds of times stiffer. A small strain there dominates the work along a correction, so the line
-//! search accepted a hundredth of it, and forces were up to twice too high for several ticks. If the line search
-//! accepts less than half of a step, the bricks that resist it most are aggregated into rigid groups. Connected bricks
-//! move by the mean of their free nodes, or not at all if one of their nodes is held; the smoother corrects the rest.
-//! (The seed's rigid clusters, Lin 2007, section 3.5, applied to displacements instead of forces.)
+//! The warm start extrapolates along a straight line. Tissue pressed nearly flat is hundreds of times stiffer than at
+//! rest: a small strain there dominates the work along the increment, so that the line search accepts a hundredth of it.
+//! If it accepts less than half, the bricks that resist most are aggregated into rigid groups. Connected bricks move by the
+//! mean of their free nodes, or not at all if one of their nodes is held; the smoother corrects the rest. (The seed's rigid
+//! clusters, Lin 2007, section 3.5, applied to displacements instead of forces.)
 
 use std::collections::BTreeMap;
 
@@ -24,10 +23,9 @@ const AGGREGATE_BELOW: f64 = 0.5;
 const RESISTING_WORK: f64 = 0.03;
 
 impl Solver {
-    /// Line search: the step length within bounds at which the work along these increments vanishes. `increments` are sorted
-    /// by node, and the shape is at their end. `before` are the brick forces at their start in N; `deferred` is the work
-    /// of deferred forces at both ends in N m. Bricks that resist the step are aggregated.
-    pub(super) fn line_search(
+    /// The step length of [`Self::line_search`], after the bricks that resist it have been aggregated. The shape is at the end
+    /// of `increments`.
+    pub(super) fn line_search_with_rigid_groups(
         &mut self,
         u: &mut [Vec3],
         increments: &mut [(u32, Vec3)],
@@ -35,23 +33,23 @@ impl Solver {
         deferred: [f64; 2],
         bounds: [f64; 2],
     ) -> f64 {
-        let (share, gain) = self.zero_work_step(u, increments, before, deferred, bounds);
+        let (share, gain) = self.line_search(u, increments, before, deferred, bounds);
+        let short = share < AGGREGATE_BELOW && gain > 0.0;
         // Once: aggregating again after the second search brought no gain.
-        let aggregates = self.uses(Mechanism::RigidAggregation);
-        let short = aggregates && share < AGGREGATE_BELOW && gain > 0.0;
-        if !short
-            || !self
-                .fine
-                .aggregate(&self.hierarchy, u, increments, RESISTING_WORK * gain)
-        {
+        let aggregated = short && self.uses(Mechanism::RigidAggregation) && {
+            let most = RESISTING_WORK * gain;
+            self.fine.aggregate(&self.hierarchy, u, increments, most)
+        };
+        if !aggregated {
             return share;
         }
-        self.zero_work_step(u, increments, before, deferred, bounds)
-            .0
+        self.line_search(u, increments, before, deferred, bounds).0
     }
 
-    /// The step length for these increments, and the work along them at their start, in N m.
-    fn zero_work_step(
+    /// Line search: the step length within bounds at which the work along these increments vanishes, and the work along
+    /// them at their start in N m. `increments` are sorted by node. `before` are the brick forces at their start in N;
+    /// `deferred` is the work of deferred forces at both ends in N m.
+    pub(super) fn line_search(
         &self,
         u: &[Vec3],
         increments: &[(u32, Vec3)],

@@ -1,4 +1,4 @@
-//! Range and number of the Chebyshev steps on the nodes.
+//! Range of the Chebyshev steps on all levels but the coarsest, and their number on the nodes.
 //!
 //! The blocks of the smoother bound the volume term, which motions without change of volume do not feel. On a lattice of
 //! cubes springs add 6 μ Δd to the block of a node, of which [`SPRINGS`] times as much enters, and volume terms add
@@ -43,7 +43,7 @@ impl EigenvalueBound {
 pub(super) struct Smoothing {
     pub(super) steps: usize,
     /// Lowest eigenvalue that is damped, relative to the bound of all eigenvalues.
-    low: f32,
+    pub(super) low: f32,
 }
 
 impl Smoothing {

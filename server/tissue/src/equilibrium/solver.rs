@@ -9,7 +9,7 @@ use super::coarse_level::prolongate_changes;
 use super::coarse_stiffening::PRESCRIBED_STIFFNESS;
 use super::contact_smoother::ContactSmoother;
 use super::cut_preparer::all_own_stiffness;
-use super::cycle::{Chebyshev, Effort, Multigrid};
+use super::cycle::{Chebyshev, Multigrid};
 use super::fine_level::{FineLevel, SetChange};
 use super::hierarchy::Hierarchy;
 use super::mechanism::{Disabled, Mechanism};
@@ -20,30 +20,18 @@ use super::work_limit::WorkLimit;
 use crate::contact::{Contacts, Tool};
 use crate::{Shape, Topology, Vec3};
 
-/// V-cycle parameters of a full solve and of a quick step, which converges faster with many cheap cycles.
-const EFFORT: [Effort; 2] = [
-    Effort {
-        before: 3,
-        after: 3,
-        coarsest: 10,
-    },
-    Effort {
-        before: 1,
-        after: 1,
-        coarsest: 10,
-    },
-];
 /// Full solves: force on a corner of a deferred element, in thresholds, above which it is refined.
 const PENDING: f32 = 4.0;
 /// Quick steps: relative change of size up to which an element stays deferred, with the coarse stiffness at rest (of
-/// springs alone, and of tissue that bottoms out). `KEEP_STRAINED` is the change that keeps a brick in the active set.
+/// springs alone, and of tissue that bottoms out). `KEEP_STRAINED` is the change that keeps a brick in the active set, as
+/// far as the work limit has room.
 const STRAINED: [f32; 2] = [0.12, 0.1];
 const KEEP_STRAINED: [f32; 2] = [0.3, 0.2];
 /// Smoothing steps around the contacts at the end of a quick step.
 const LAST_STEPS: usize = 3;
-/// Bounds of the step length along a coarse correction. Tissue that bottoms out is tens of times stiffer than its
-/// coarse operator.
-const SHARES: [f64; 2] = [0.01, 2.0];
+/// Bounds of the step length along a coarse correction. Tissue that bottoms out may accept hardly any of it: a lower bound of
+/// 0.01 made full solves of a deep jump diverge.
+const SHARES: [f64; 2] = [0.0, 2.0];
 /// Initial threshold of a single node, relative to the allowed residual. Once the active set has converged, the
 /// threshold is lowered until all unbalanced nodes together can not exceed the allowed residual.
 pub(super) const INITIAL_THRESHOLD: f64 = 0.25;
@@ -410,6 +398,7 @@ impl Solver {
             threshold: limit,
             quick,
             keeps_all: quick && self.report.iterations > 0,
+            fitting: self.work_limit.fitting(),
         };
         if fine.select(hierarchy, coarse, touched, &criteria, u) {
             coarse.select(hierarchy, false);
@@ -429,21 +418,19 @@ impl Solver {
         if self.work_limit.leaves_room() && self.uses(Mechanism::Rotation) {
             self.coarse.refine_next(&self.hierarchy);
         }
-        let work_limit = if self.uses(Mechanism::WorkLimit) {
-            self.work_limit.factor()
-        } else {
-            1.0
-        };
+        if !self.uses(Mechanism::WorkLimit) {
+            self.work_limit = WorkLimit::NONE;
+        }
         let deep = usize::from(self.hierarchy.bottoms_out);
-        let limit = |mechanism, limit: f32| {
+        let limit = |mechanism, limit: [f32; 2]| {
             if self.uses(mechanism) {
-                work_limit * limit
+                limit[deep]
             } else {
                 f32::INFINITY
             }
         };
-        let strained = limit(Mechanism::StrainLimit, STRAINED[deep]);
-        let keep_strained = limit(Mechanism::StrainedStay, KEEP_STRAINED[deep]);
+        let strained = self.work_limit.factor() * limit(Mechanism::StrainLimit, STRAINED);
+        let keep_strained = limit(Mechanism::StrainedStay, KEEP_STRAINED);
         (self.coarse.pending, self.coarse.strained) = (f32::INFINITY, strained);
         self.coarse.is_effective = self.uses(Mechanism::EffectiveStiffness);
         self.fine.keep_strained = keep_strained;
@@ -491,10 +478,7 @@ impl Solver {
 
     /// Stage: coarse-grid correction with a line search.
     fn correct(&mut self, u: &mut [Vec3], threshold: f64, quick: bool) {
-        let mut effort = EFFORT[usize::from(quick)];
-        if quick && !self.uses(Mechanism::PreSmoothing) {
-            effort.before = 0;
-        }
+        let smooths_before = !quick || self.uses(Mechanism::PreSmoothing);
         let follows_prescribed_nodes = self.follows_prescribed_nodes();
         let prescribed_displacements = std::mem::take(&mut self.prescribed_displacements);
         if follows_prescribed_nodes {
@@ -509,7 +493,7 @@ impl Solver {
             self.fine.restrict(&self.hierarchy, &mut self.coarse);
         }
         let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
-        coarse.cycle(hierarchy, effort);
+        coarse.cycle(hierarchy, smooths_before);
         fine.add_contacts(u, &self.contacts, -1.0);
         fine.keep_forces();
         fine.correct(hierarchy, coarse, u);
@@ -523,8 +507,8 @@ impl Solver {
             self.deferred_work()
         };
         let old = std::mem::take(&mut self.fine.old);
-        let mut moved = std::mem::take(&mut self.fine.moved);
-        let share = self.line_search(u, &mut moved, &old, waiting, SHARES);
+        let moved = std::mem::take(&mut self.fine.moved);
+        let (share, _) = self.line_search(u, &moved, &old, waiting, SHARES);
         let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
         (fine.old, fine.moved) = (old, moved);
         coarse.commit(hierarchy, share as f32, threshold as f32);

@@ -45,7 +45,7 @@ impl Solver {
         let before: Vec<_> = last.iter().map(|m| r[m.0 as usize]).collect();
         self.fine.add_increments(u, last, 1.0);
         self.fine.evaluate_bricks(&self.hierarchy, u);
-        let share = self.line_search(u, last, &before, waiting, FACTORS);
+        let share = self.line_search_with_rigid_groups(u, last, &before, waiting, FACTORS);
         self.fine.add_increments(u, last, -1.0);
         share
     }

@@ -2,8 +2,8 @@
 //!
 //! Finer models have more nodes in the strained region: under a sphere 15 mm deep 500 at 4 mm and 3,000 at 2 mm, which
 //! took 10 ms. The time of a step is fixed, the strain limits of deferred elements are not. They are widened while the
-//! active set exceeds the work limit, and narrowed when it is well below. The rule counts nodes and reads no clock, so equal
-//! steps give equal bits.
+//! active set exceeds the work limit, and narrowed when it is well below. A new set keeps the most strained elements of the
+//! last one that fit. The rule counts nodes and reads no clock, so equal steps give equal bits.
 
 /// Nodes that fit in the time of a quick step.
 const NODES_MAX: f64 = 1200.0;
@@ -41,6 +41,11 @@ impl WorkLimit {
     /// Factor of the strain limits in the next quick step.
     pub(super) fn factor(self) -> f32 {
         self.factor as f32
+    }
+
+    /// Part of the last active set that fits in the work limit; more than 1 if there is room.
+    pub(super) fn fitting(self) -> f64 {
+        1.0 / self.load
     }
 
     /// Whether the next quick step may refine more than it must.
