@@ -95,6 +95,21 @@ fn ball_that_presses_tissue_flat_on_a_pinned_base_keeps_its_force() {
     }
 }
 
+/// Such tissue accepts hardly anything of some coarse corrections. With a least step length of 0.01 the solves end in NaN.
+#[test]
+fn full_solves_of_a_jump_into_nearly_flat_tissue_converge() {
+    for poisson in [0.25, 0.45] {
+        let mut tissue = Tissue::at_rest(slab_of(6, poisson));
+        for _ in 0..40 {
+            let tool = Tool::ball(1, above(6.4 * MM), RADIUS);
+            let report = tissue.step(&[tool], Budget::new(1, 1e-6));
+            assert!(report.residual.is_finite() && !report.rolled_back);
+        }
+        let residual = tissue.report().residual;
+        assert!(residual < 1e-3, "{residual}");
+    }
+}
+
 /// A force is found to the tolerance of its own size, also after a greater one.
 #[test]
 fn ball_that_is_drawn_back_and_held_finds_its_force() {

@@ -84,7 +84,7 @@ impl FineLevel {
         self.outdated = false;
         let grid = &mut coarse.grids[0];
         if !keeps_all {
-            self.keep_strained(hierarchy, &mut grid.refined, fitting, u);
+            self.retain_most_strained(hierarchy, &mut grid.refined, fitting, u);
         }
         for &element in &self.required.items {
             grid.refined.insert(element);
@@ -93,19 +93,20 @@ impl FineLevel {
         true
     }
 
-    /// Keeps the elements of level 1 that are too deformed for their matrix at rest, if they all fit in the work limit;
-    /// otherwise the most deformed ones.
-    fn keep_strained(&self, hierarchy: &Hierarchy, refined: &mut List, fitting: f64, u: &[Vec3]) {
+    /// Keeps the elements of level 1 that are too deformed for their matrix at rest, and of these only the most deformed
+    /// ones if more than the `fitting` part of the set would stay.
+    fn retain_most_strained(
+        &self,
+        hierarchy: &Hierarchy,
+        refined: &mut List,
+        fitting: f64,
+        u: &[Vec3],
+    ) {
         let limit = f64::from(self.keep_strained) * 2.0 / f64::from(hierarchy.per_spacing);
-        let change = |element: u32| {
-            let bricks = hierarchy.levels[0].children.row(element).iter();
-            bricks
-                .map(|&brick| hierarchy.change_of(brick, u))
-                .fold(0.0, f64::max)
-        };
         let most = (fitting * refined.items.len() as f64) as usize;
-        let mut strained: Vec<(u32, f64)> =
-            refined.take().into_iter().map(|e| (e, change(e))).collect();
+        let all = refined.items.iter();
+        let mut strained: Vec<(u32, f64)> = all.map(|&e| (e, change(hierarchy, e, u))).collect();
+        refined.clear();
         strained.retain(|s| s.1 > limit);
         if strained.len() > most {
             strained.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
@@ -203,5 +204,65 @@ impl FineLevel {
             self.follow_coarser(hierarchy, coarse, u, node);
         }
         self.current = false;
+    }
+}
+
+/// Largest change of size of a brick of an element of level 1 along an axis, in m.
+fn change(hierarchy: &Hierarchy, element: u32, u: &[Vec3]) -> f64 {
+    let bricks = hierarchy.levels[0].children.row(element).iter();
+    bricks.fold(0.0, |most, &b| f64::max(most, hierarchy.change_of(b, u)))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::super::solver::Solver;
+    use super::*;
+    use crate::{Budget, Material, Shape, Tool, Topology, block};
+
+    #[test]
+    fn new_set_keeps_the_most_strained_elements_that_fit() {
+        let material = Material {
+            young_pa: 10e3,
+            poisson: 0.45,
+            ..Material::default()
+        };
+        let topology = Topology::new(Arc::new(block([24, 24, 10], 2e-3, &material, 1)));
+        let (mut solver, mut shape) = (Solver::new(&topology), Shape::rest(&topology));
+        for k in 1..=15 {
+            let centre = Vec3::new(24e-3, 24e-3, 28e-3 - 0.4e-3 * f64::from(k));
+            let budget = Budget {
+                near: true,
+                ..Budget::new(1, 0.02)
+            };
+            solver.step(
+                &topology,
+                &mut shape,
+                &[Tool::ball(1, centre, 8e-3)],
+                budget,
+            );
+        }
+        let (hierarchy, u) = (&solver.hierarchy, &shape.displacement);
+        let all = &solver.coarse.grids[0].refined.items;
+        let kept = |fitting| {
+            let mut list = List::new(hierarchy.levels[0].corners.len());
+            for &element in all {
+                list.insert(element);
+            }
+            let fine = &solver.fine;
+            fine.retain_most_strained(hierarchy, &mut list, fitting, u);
+            list
+        };
+        let strained = kept(f64::INFINITY);
+        let count = strained.items.len();
+        assert!(count > 10 && count < all.len(), "{count} of {}", all.len());
+        let few = kept(0.5 * count as f64 / all.len() as f64);
+        assert_eq!(few.items.len(), count / 2);
+        let changes = few.items.iter().map(|&e| change(hierarchy, e, u));
+        let least = changes.fold(f64::MAX, f64::min);
+        for &element in strained.items.iter().filter(|&&e| !few.contains(e)) {
+            assert!(change(hierarchy, element, u) <= least);
+        }
     }
 }

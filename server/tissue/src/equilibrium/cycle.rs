@@ -12,8 +12,6 @@ use super::matrix::Matrix;
 use super::prolongation::Prolongation;
 use super::quad::{Quad, ZERO, plus};
 
-/// Lowest eigenvalue that the smoother damps without volume terms, relative to the bound of all eigenvalues.
-pub(super) const LOW: f32 = 0.15;
 /// Lowest eigenvalue that is damped on the coarsest level.
 const LOW_COARSEST: f32 = 0.02;
 /// Smoothing steps on each level before and after the coarse correction.

@@ -54,7 +54,7 @@ mechanisms! {
     SecantStiffness "secant-stiffness",
     /// Deferred elements with a large displacement difference are refined.
     StrainLimit "strain-limit",
-    /// Strained bricks stay in the active set.
+    /// Strained bricks stay in the active set, as far as the work limit allows.
     StrainedStay "strained-stay",
     /// A step with room in the work limit refines an element with a large deferred force, in rotation.
     Rotation "rotation",

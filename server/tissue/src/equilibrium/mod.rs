@@ -15,7 +15,7 @@
 //! | `budget`, `work_limit` | limits and report of a step; bound on active nodes |
 //! | `reference_state`, `weight` | equilibrium without tools; gravity |
 //! | `warm_start` | extrapolation of the last step under tools |
-//! | `rigid_aggregation` | line search, with rigid groups where tissue is too stiff |
+//! | `rigid_aggregation` | line search; rigid groups in the warm start |
 //! | `mechanism` | mechanisms that an ablation can switch off |
 //! | `prescribed` | nodes with a prescribed displacement |
 //! | `cut_preparer`, `hierarchy_change`, `construction`, `recoarsen`, `follow_cut` | local update after a cut |

@@ -19,12 +19,11 @@ use crate::contact::LineSearch;
 
 /// Step length below which resisting bricks are aggregated.
 const AGGREGATE_BELOW: f64 = 0.5;
-/// Work of a brick against the correction, relative to the total work, from which on it is aggregated.
+/// Work of a brick against the increment, relative to the total work, from which on it is aggregated.
 const RESISTING_WORK: f64 = 0.03;
 
 impl Solver {
-    /// The step length of [`Self::line_search`], after the bricks that resist it have been aggregated. The shape is at the end
-    /// of `increments`.
+    /// The step length of [`Self::line_search`], after the bricks that resist it have been aggregated.
     pub(super) fn line_search_with_rigid_groups(
         &mut self,
         u: &mut [Vec3],
@@ -47,7 +46,8 @@ impl Solver {
     }
 
     /// Line search: the step length within bounds at which the work along these increments vanishes, and the work along
-    /// them at their start in N m. `increments` are sorted by node. `before` are the brick forces at their start in N;
+    /// them at their start in N m. `increments` are sorted by node, and shape and forces are at their end. `before` are the
+    /// brick forces at their start in N;
     /// `deferred` is the work of deferred forces at both ends in N m.
     pub(super) fn line_search(
         &self,

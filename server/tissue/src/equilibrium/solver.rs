@@ -29,8 +29,8 @@ const STRAINED: [f32; 2] = [0.12, 0.1];
 const KEEP_STRAINED: [f32; 2] = [0.3, 0.2];
 /// Smoothing steps around the contacts at the end of a quick step.
 const LAST_STEPS: usize = 3;
-/// Bounds of the step length along a coarse correction. Tissue that bottoms out may accept hardly any of it: a lower bound of
-/// 0.01 made full solves of a deep jump diverge.
+/// Bounds of the step length along a coarse correction. Tissue that bottoms out may accept none of it: with a lower bound
+/// of 0.01 full solves of deep jumps diverge.
 const SHARES: [f64; 2] = [0.0, 2.0];
 /// Initial threshold of a single node, relative to the allowed residual. Once the active set has converged, the
 /// threshold is lowered until all unbalanced nodes together can not exceed the allowed residual.
@@ -495,7 +495,6 @@ impl Solver {
         let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
         coarse.cycle(hierarchy, smooths_before);
         fine.add_contacts(u, &self.contacts, -1.0);
-        fine.keep_forces();
         fine.correct(hierarchy, coarse, u);
         fine.evaluate_bricks(hierarchy, u);
         coarse.defer(hierarchy);
@@ -506,11 +505,9 @@ impl Solver {
         } else {
             self.deferred_work()
         };
-        let old = std::mem::take(&mut self.fine.old);
-        let moved = std::mem::take(&mut self.fine.moved);
-        let (share, _) = self.line_search(u, &moved, &old, waiting, SHARES);
+        let (moved, old) = (&self.fine.moved, &self.fine.old);
+        let (share, _) = self.line_search(u, moved, old, waiting, SHARES);
         let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
-        (fine.old, fine.moved) = (old, moved);
         coarse.commit(hierarchy, share as f32, threshold as f32);
         fine.settle(hierarchy, coarse, u, share);
         fine.add_contacts(u, &self.contacts, 1.0);

@@ -2,8 +2,8 @@
 //!
 //! Finer models have more nodes in the strained region: under a sphere 15 mm deep 500 at 4 mm and 3,000 at 2 mm, which
 //! took 10 ms. The time of a step is fixed, the strain limits of deferred elements are not. They are widened while the
-//! active set exceeds the work limit, and narrowed when it is well below. A new set keeps the most strained elements of the
-//! last one that fit. The rule counts nodes and reads no clock, so equal steps give equal bits.
+//! active set exceeds the work limit, and narrowed when it is well below. Of the strained elements of the last set the
+//! next one keeps the most strained, as many as the load allows; required elements come on top. The rule counts nodes and reads no clock, so equal steps give equal bits.
 
 /// Nodes that fit in the time of a quick step.
 const NODES_MAX: f64 = 1200.0;
@@ -11,7 +11,7 @@ const NODES_MAX: f64 = 1200.0;
 const ELEMENT_COST: f64 = 0.25;
 /// Part of the work limit below which strain limits are narrowed, and a step refines a further element.
 const SPARE: f64 = 0.8;
-/// Maximum factor of the strain limits; beyond it only the contacts remain active.
+/// Maximum factor of the strain limits.
 const FACTOR_MAX: f64 = 8.0;
 
 /// Factor of the strain limits of deferred elements, and size of the last active set relative to the work limit.
