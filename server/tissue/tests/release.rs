@@ -260,3 +260,56 @@ fn one_quick_iteration_per_tick_bounds_the_error_in_a_deep_press() {
         assert!(error.abs() < 0.04, "tick {k}: {error:.3}");
     }
 }
+
+/// Skin of one cell over soft tissue that hardly changes its volume, pressed to 8 mm and released, at 0.4 mm per iteration.
+#[test]
+fn stiff_skin_is_felt_within_a_tenth_on_the_way_in() {
+    let material = Material {
+        young_pa: 12e3,
+        poisson: 0.45,
+        ..Material::default()
+    };
+    let mut model = block([40, 40, 14], 2.0 * MM, &material, 1);
+    let mut skin = model.regions[0].clone();
+    skin.material.young_pa = 130e3;
+    skin.pinned = false;
+    model.regions.push(skin);
+    let skin = palpate_tissue::RegionId(model.regions.len() as u16 - 1);
+    for cell in 0..model.cells.len() {
+        if model.corners_of(cell).iter().all(|p| p.z > 25.5 * MM) {
+            model.cells[cell].region = skin;
+        }
+    }
+    let ball = |k: usize| {
+        let depth = 0.4 * MM * k as f64;
+        Tool::ball(
+            1,
+            Vec3::new(40.0 * MM, 40.0 * MM, 28.0 * MM + RADIUS - depth),
+            RADIUS,
+        )
+    };
+    let mut quick = Tissue::at_rest(Topology::new(Arc::new(model)));
+    let mut exact = quick.another();
+    let at = [2, 6, 10, 14, 18];
+    let exact = at.map(|k| {
+        exact.step(&[ball(k)], Budget::new(100, 1e-3)).reactions[0]
+            .force
+            .z
+    });
+    let mut square = [0.0; 2];
+    for (k, back) in (1..=20)
+        .map(|k| (k, 0))
+        .chain((1..20).rev().map(|k| (k, 1)))
+    {
+        let budget = Budget {
+            near: true,
+            ..Budget::new(1, 0.02)
+        };
+        let force = quick.step(&[ball(k)], budget).reactions[0].force.z;
+        if let Some(i) = at.iter().position(|&a| a == k) {
+            square[back] += (force / exact[i] - 1.0).powi(2) / at.len() as f64;
+        }
+    }
+    let [press, release] = square.map(f64::sqrt);
+    assert!(press < 0.1 && release < 0.2, "{press} {release}");
+}
