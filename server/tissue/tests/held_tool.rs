@@ -77,12 +77,14 @@ fn held_ball_keeps_its_force() {
     );
 }
 
-/// Quick steps do not converge there. Multipliers without a bound sum up their errors, and the force varies by a fifth.
+/// Multipliers without a bound sum up the errors of quick steps, and the force varies by a fifth. A warm start that
+/// extrapolates while the ball rests lets it oscillate by 7 and 14 %.
 #[test]
 fn ball_that_presses_tissue_flat_on_a_pinned_base_keeps_its_force() {
     let depth = 7.8 * MM;
-    for step in [0.2 * MM, 0.4 * MM, 2.0 * MM] {
-        let mut tissue = Tissue::at_rest(slab_of(6, 0.45));
+    let steps = [0.2 * MM, 0.4 * MM, 2.0 * MM];
+    for (step, poisson) in steps.into_iter().flat_map(|s| [(s, 0.25), (s, 0.45)]) {
+        let mut tissue = Tissue::at_rest(slab_of(6, poisson));
         let steps = (depth / step).ceil() as u32;
         for k in 1..=steps {
             hold(&mut tissue, |_| above(depth.min(step * f64::from(k))), 1);
@@ -91,7 +93,8 @@ fn ball_that_presses_tissue_flat_on_a_pinned_base_keeps_its_force() {
         let (least, most) = forces.iter().fold((f64::MAX, 0.0_f64), |(least, most), f| {
             (least.min(*f), most.max(*f))
         });
-        assert!(least > 5.0 && most / least < 1.05, "{step} m: {forces:.2?}");
+        let name = format!("{step} m, {poisson}");
+        assert!(least > 5.0 && most / least < 1.03, "{name}: {forces:.2?}");
     }
 }
 
@@ -100,13 +103,13 @@ fn ball_that_presses_tissue_flat_on_a_pinned_base_keeps_its_force() {
 fn full_solves_of_a_jump_into_nearly_flat_tissue_converge() {
     for poisson in [0.25, 0.45] {
         let mut tissue = Tissue::at_rest(slab_of(6, poisson));
-        for _ in 0..40 {
+        for _ in 0..60 {
             let tool = Tool::ball(1, above(6.4 * MM), RADIUS);
             let report = tissue.step(&[tool], Budget::new(1, 1e-6));
             assert!(report.residual.is_finite() && !report.rolled_back);
         }
         let residual = tissue.report().residual;
-        assert!(residual < 1e-3, "{residual}");
+        assert!(residual < 1e-4, "{residual}");
     }
 }
 
@@ -149,13 +152,13 @@ fn unmoved_tool_costs_nothing_once_its_force_is_found() {
         let far = centre + Vec3::new(-0.1, 0.0, 0.1);
         for (at, is_pressed) in [(centre, true), (far, false)] {
             let mut iterations = Vec::new();
-            for _ in 0..60 {
+            for _ in 0..120 {
                 let report = tissue.step(&[Tool::ball(1, at, RADIUS)], Budget::new(4, 0.02));
                 assert!(!is_pressed || report.reactions[0].force.norm() > 0.1);
                 iterations.push(report.iterations);
             }
             assert!(
-                iterations[40..].iter().all(|&n| n == 0),
+                iterations[100..].iter().all(|&n| n == 0),
                 "{pinned} {iterations:?}"
             );
         }

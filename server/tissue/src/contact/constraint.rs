@@ -37,7 +37,7 @@ pub(super) fn length(motion: &Motion) -> f64 {
     motion[0].norm().hypot(motion[1].norm())
 }
 
-fn dot(a: &Motion, b: &Motion) -> f64 {
+pub(super) fn dot(a: &Motion, b: &Motion) -> f64 {
     a[0].dot(&b[0]) + a[1].dot(&b[1])
 }
 

@@ -3,7 +3,7 @@
 use nalgebra::UnitQuaternion;
 
 use super::ball::Ball;
-use super::constraint::{Constraint, Motion, length, nearest_motion};
+use super::constraint::{Constraint, Motion, dot, length, nearest_motion};
 use super::core::Core;
 use super::insertion::Insertion;
 use super::multipliers::Multipliers;
@@ -79,6 +79,12 @@ pub(crate) struct Proxy {
     constraints: Vec<Constraint>,
     /// Length in m of its last motion.
     moved: f64,
+    /// Pose at the start of the step, and whether it was in contact.
+    start: (Vec3, UnitQuaternion<f64>),
+    touched: bool,
+    /// Way of this step along that of the last one, relative to it: one in steady motion and at first touch, zero for a tool
+    /// that stops or turns back.
+    pub(super) pace: f64,
     pub(crate) placement: Placement,
     pub(crate) seen: bool,
     pub(super) multipliers: Multipliers,
@@ -102,6 +108,9 @@ impl Proxy {
             touching: false,
             constraints: Vec::new(),
             moved: 0.0,
+            start: (tool.centre, tool.turn),
+            touched: false,
+            pace: 0.0,
             placement: Placement::New,
             seen: true,
             multipliers: Multipliers::default(),
@@ -132,7 +141,28 @@ impl Proxy {
             // A ball turns without moving its surface.
             self.turn = tool.turn;
         }
+        self.start_step();
         changed
+    }
+
+    /// Compares the way to the target with that of the last step.
+    fn start_step(&mut self) {
+        let last = self.way_between(self.start, (self.at, self.turn));
+        let square = dot(&last, &last);
+        self.pace = if !self.touched {
+            1.0
+        } else if square > 0.0 {
+            (dot(&self.way(), &last) / square).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
+        self.start = (self.at, self.turn);
+        self.touched = self.is_in_contact();
+    }
+
+    /// Whether the tissue presses on it or holds it.
+    pub(super) fn is_in_contact(&self) -> bool {
+        self.touching || self.insertion.is_in()
     }
 
     /// Displacement of the tool at a strength. The hold of the tissue on a needle is no indentation.
@@ -314,19 +344,31 @@ impl Proxy {
             let turn = UnitQuaternion::from_scaled_axis(motion[1] * (share / self.lever()));
             self.set(self.at + motion[0] * share, turn * self.turn);
         }
-        if length < BLOCKED * stride && self.is_free_after_jump(surface) {
+        if length < BLOCKED * stride && self.is_outside_after_jump(surface) {
+            let spacing = surface.topology.model().spacing_m;
             self.set(self.target.centre, self.target.turn);
-            self.touching = false;
+            self.constraints.clear();
+            self.touching = self.touches(surface, spacing);
         }
     }
 
     /// The way to the tool.
     fn way(&self) -> Motion {
-        let turn = self.target.turn * self.turn.inverse();
-        [
-            self.target.centre - self.at,
-            turn.scaled_axis() * self.lever(),
-        ]
+        let to = (self.target.centre, self.target.turn);
+        self.way_between((self.at, self.turn), to)
+    }
+
+    fn way_between(
+        &self,
+        from: (Vec3, UnitQuaternion<f64>),
+        to: (Vec3, UnitQuaternion<f64>),
+    ) -> Motion {
+        let by = to.0 - from.0;
+        if self.target.is_ball() {
+            return [by, Vec3::zeros()];
+        }
+        let turn = to.1 * from.1.inverse();
+        [by, turn.scaled_axis() * self.lever()]
     }
 
     /// Distance in m from the pivot within which its surface lies: the scale of rotations among motions.
@@ -334,20 +376,19 @@ impl Proxy {
         self.arm() + self.radius
     }
 
-    /// Whether the tool has jumped to a pose outside the tissue where it touches nothing.
-    fn is_free_after_jump(&self, surface: &Surface<'_>) -> bool {
+    /// Whether the tool has jumped to a pose with its core outside the tissue.
+    fn is_outside_after_jump(&self, surface: &Surface<'_>) -> bool {
         if self.lag() < JUMP_M {
             return false;
         }
         let spacing = surface.topology.model().spacing_m;
-        let mut there = self.clone();
-        there.set(self.target.centre, self.target.turn);
+        let core = Core::of(&self.target);
         let is_outside = |point| {
-            let at = there.core.at(point);
+            let at = core.at(point);
             let foot = surface.nearest(at, f64::MAX);
             foot.is_none_or(|foot| (at - foot.at).dot(&foot.normal) > 0.0)
         };
-        self.points(spacing).into_iter().all(is_outside) && !there.touches(surface, spacing)
+        self.points(spacing).into_iter().all(is_outside)
     }
 
     pub(super) fn clear_constraints(&mut self) {

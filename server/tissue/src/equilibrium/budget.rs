@@ -15,8 +15,8 @@ pub struct Budget<'a> {
     /// Maximum iterations (three at first touch in a quick step, if that is more). One iteration is a coarse correction
     /// and three smoothing steps over the active set.
     pub iterations: usize,
-    /// Relative residual at which to stop; 1e-6 counts as converged. From 0.02 a step without held nodes is quick:
-    /// elements beyond the active set defer their residual. Nodes follow the coarse levels to within 0.01 mm.
+    /// Relative residual at which to stop; 1e-6 counts as converged. From 0.02 a step without held nodes is quick: it stops
+    /// at a quarter, and elements beyond the active set defer their residual. Nodes follow the coarse levels to within 0.01 mm.
     pub tolerance: f64,
     /// A quick step that leaves the nodes far from the tools where they are. The next cut or full step moves them.
     pub near: bool,

@@ -33,7 +33,7 @@ impl Solver {
         bounds: [f64; 2],
     ) -> f64 {
         let (share, gain) = self.line_search(u, increments, before, deferred, bounds);
-        let short = share < AGGREGATE_BELOW && gain > 0.0;
+        let short = share < AGGREGATE_BELOW * bounds[1] && gain > 0.0;
         // Once: aggregating again after the second search brought no gain.
         let aggregated = short && self.uses(Mechanism::RigidAggregation) && {
             let most = RESISTING_WORK * gain;

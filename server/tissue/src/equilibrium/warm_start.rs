@@ -1,15 +1,13 @@
-//! Warm start: the displacement increment of the last step, extrapolated.
+//! Warm start: the displacement increment of the last step, extrapolated (the predictor of a continuation method).
 //!
-//! A hand moves smoothly, and equilibrium follows it smoothly. A line search along the last increment finds the factor,
-//! because the tool's path does not determine the contacts. The brick forces are known at both ends of the increment and
-//! interpolated linearly. Without tools nothing is extrapolated.
+//! A hand moves smoothly, and equilibrium follows it smoothly. The factor is at most the tool's way relative to its last one:
+//! a tool that stops has nothing to extrapolate. Within that bound a line search along the last increment finds it, because
+//! the tool's path does not determine the contacts. The brick forces are known at both ends of the increment and interpolated
+//! linearly. Without contact nothing is extrapolated.
 
 use super::mechanism::Mechanism;
 use super::solver::Solver;
 use crate::{Topology, Vec3};
-
-/// Bounds of the extrapolation factor under tools, and the first trial value.
-const FACTORS: [f64; 2] = [0.0, 1.0];
 
 impl Solver {
     /// Stage: gathers contacts and applies the warm start. Returns whether a proxy lags.
@@ -22,9 +20,10 @@ impl Solver {
         if !self.uses(Mechanism::WarmStart) {
             last.clear();
         }
-        if !self.contacts.proxies.is_empty() && !last.is_empty() {
+        let pace = self.contacts.pace();
+        if pace > 0.0 && !last.is_empty() {
             // Only the increment near the contacts is extrapolated: the rest costs more than it gains.
-            let share = self.increment_line_search(u, &mut last);
+            let share = self.increment_line_search(u, &mut last, pace);
             self.extrapolate(u, &last, share);
             // Contacts are gathered again if a tool lags, which updates their nodes.
             self.fine.mark_applied(&self.hierarchy, &self.coarse);
@@ -33,8 +32,13 @@ impl Solver {
         lags
     }
 
-    /// Line search for the extrapolation factor: the work along the increment vanishes there.
-    fn increment_line_search(&mut self, u: &mut [Vec3], last: &mut [(u32, Vec3)]) -> f64 {
+    /// Line search for the extrapolation factor, up to `most`: the work along the increment vanishes there.
+    fn increment_line_search(
+        &mut self,
+        u: &mut [Vec3],
+        last: &mut [(u32, Vec3)],
+        most: f64,
+    ) -> f64 {
         self.fine.refresh(&self.hierarchy, u);
         self.fine.evaluate_bricks(&self.hierarchy, u);
         self.fine.keep_forces();
@@ -45,7 +49,7 @@ impl Solver {
         let before: Vec<_> = last.iter().map(|m| r[m.0 as usize]).collect();
         self.fine.add_increments(u, last, 1.0);
         self.fine.evaluate_bricks(&self.hierarchy, u);
-        let share = self.line_search_with_rigid_groups(u, last, &before, waiting, FACTORS);
+        let share = self.line_search_with_rigid_groups(u, last, &before, waiting, [0.0, most]);
         self.fine.add_increments(u, last, -1.0);
         share
     }
