@@ -174,7 +174,7 @@ impl Contacts {
     /// Largest pace of a tool in contact: how far the tissue may be expected to move on as in the last step.
     pub(crate) fn pace(&self) -> f64 {
         let in_contact = self.proxies.iter().filter(|p| p.is_in_contact());
-        in_contact.map(|p| p.pace).fold(0.0, f64::max)
+        in_contact.map(Proxy::pace).fold(0.0, f64::max)
     }
 
     /// Whether a node has moved by more than `limit` m since the samples were gathered.

@@ -81,10 +81,9 @@ pub(crate) struct Proxy {
     moved: f64,
     /// Pose at the start of the step, and whether it was in contact.
     start: (Vec3, UnitQuaternion<f64>),
-    touched: bool,
-    /// Way of this step along that of the last one, relative to it: one in steady motion and at first touch, zero for a tool
-    /// that stops or turns back.
-    pub(super) pace: f64,
+    was_in_contact: bool,
+    /// Motion of the last step, if that began in contact.
+    last_motion: Option<Motion>,
     pub(crate) placement: Placement,
     pub(crate) seen: bool,
     pub(super) multipliers: Multipliers,
@@ -109,8 +108,8 @@ impl Proxy {
             constraints: Vec::new(),
             moved: 0.0,
             start: (tool.centre, tool.turn),
-            touched: false,
-            pace: 0.0,
+            was_in_contact: false,
+            last_motion: None,
             placement: Placement::New,
             seen: true,
             multipliers: Multipliers::default(),
@@ -145,19 +144,24 @@ impl Proxy {
         changed
     }
 
-    /// Compares the way to the target with that of the last step.
+    /// Notes the motion of the last step.
     fn start_step(&mut self) {
-        let last = self.way_between(self.start, (self.at, self.turn));
-        let square = dot(&last, &last);
-        self.pace = if !self.touched {
-            1.0
-        } else if square > 0.0 {
-            (dot(&self.way(), &last) / square).clamp(0.0, 1.0)
-        } else {
-            0.0
+        let here = (self.at, self.turn);
+        let motion = self.motion_between(self.start, here);
+        self.last_motion = self.was_in_contact.then_some(motion);
+        self.start = here;
+        self.was_in_contact = self.is_in_contact();
+    }
+
+    /// Its motion in this step along that of the last one, relative to it: one in steady motion and at first touch, zero if
+    /// it stops, turns back, or moves less than a proxy that waits.
+    pub(super) fn pace(&self) -> f64 {
+        let Some(last) = self.last_motion else {
+            return 1.0;
         };
-        self.start = (self.at, self.turn);
-        self.touched = self.is_in_contact();
+        let motion = self.motion_between(self.start, (self.at, self.turn));
+        let least = MOVED_MIN * self.radius;
+        (dot(&motion, &last) / dot(&last, &last).max(least * least)).clamp(0.0, 1.0)
     }
 
     /// Whether the tissue presses on it or holds it.
@@ -344,21 +348,23 @@ impl Proxy {
             let turn = UnitQuaternion::from_scaled_axis(motion[1] * (share / self.lever()));
             self.set(self.at + motion[0] * share, turn * self.turn);
         }
-        if length < BLOCKED * stride && self.is_outside_after_jump(surface) {
-            let spacing = surface.topology.model().spacing_m;
+        if length < BLOCKED * stride && self.is_free_after_jump(surface) {
             self.set(self.target.centre, self.target.turn);
-            self.constraints.clear();
-            self.touching = self.touches(surface, spacing);
+            self.touching = false;
         }
     }
 
     /// The way to the tool.
     fn way(&self) -> Motion {
-        let to = (self.target.centre, self.target.turn);
-        self.way_between((self.at, self.turn), to)
+        let turn = self.target.turn * self.turn.inverse();
+        [
+            self.target.centre - self.at,
+            turn.scaled_axis() * self.lever(),
+        ]
     }
 
-    fn way_between(
+    /// The motion from one pose to another. The rotation of a ball is irrelevant.
+    fn motion_between(
         &self,
         from: (Vec3, UnitQuaternion<f64>),
         to: (Vec3, UnitQuaternion<f64>),
@@ -376,19 +382,20 @@ impl Proxy {
         self.arm() + self.radius
     }
 
-    /// Whether the tool has jumped to a pose with its core outside the tissue.
-    fn is_outside_after_jump(&self, surface: &Surface<'_>) -> bool {
+    /// Whether the tool has jumped to a pose outside the tissue where it touches nothing.
+    fn is_free_after_jump(&self, surface: &Surface<'_>) -> bool {
         if self.lag() < JUMP_M {
             return false;
         }
         let spacing = surface.topology.model().spacing_m;
-        let core = Core::of(&self.target);
+        let mut there = self.clone();
+        there.set(self.target.centre, self.target.turn);
         let is_outside = |point| {
-            let at = core.at(point);
+            let at = there.core.at(point);
             let foot = surface.nearest(at, f64::MAX);
             foot.is_none_or(|foot| (at - foot.at).dot(&foot.normal) > 0.0)
         };
-        self.points(spacing).into_iter().all(is_outside)
+        self.points(spacing).into_iter().all(is_outside) && !there.touches(surface, spacing)
     }
 
     pub(super) fn clear_constraints(&mut self) {

@@ -2,7 +2,7 @@
 //!
 //! The warm start extrapolates along a straight line. Tissue pressed nearly flat is hundreds of times stiffer than at
 //! rest: a small strain there dominates the work along the increment, so that the line search accepts a hundredth of it.
-//! If it accepts less than half, the bricks that resist most are aggregated into rigid groups. Connected bricks move by the
+//! If it accepts less than half of its bound, the bricks that resist most are aggregated into rigid groups. Connected bricks move by the
 //! mean of their free nodes, or not at all if one of their nodes is held; the smoother corrects the rest. (The seed's rigid
 //! clusters, Lin 2007, section 3.5, applied to displacements instead of forces.)
 
@@ -17,7 +17,7 @@ use super::solver::Solver;
 use crate::Vec3;
 use crate::contact::LineSearch;
 
-/// Step length below which resisting bricks are aggregated.
+/// Step length, relative to its upper bound, below which resisting bricks are aggregated.
 const AGGREGATE_BELOW: f64 = 0.5;
 /// Work of a brick against the increment, relative to the total work, from which on it is aggregated.
 const RESISTING_WORK: f64 = 0.03;

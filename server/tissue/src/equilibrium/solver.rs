@@ -88,7 +88,7 @@ pub(crate) struct Solver {
 
 /// Relative residual at which a step ends. Quick steps leave forces below their threshold at single nodes, but not over all
 /// nodes together: light contacts of soft tissue would stay 15 % off.
-fn accepted(tolerance: f64, quick: bool) -> f64 {
+fn accepted_residual(tolerance: f64, quick: bool) -> f64 {
     if quick {
         INITIAL_THRESHOLD * tolerance
     } else {
@@ -224,7 +224,10 @@ impl Solver {
             budget.tolerance = budget.tolerance.max(QUICK);
         }
         let quick = budget.near || budget.tolerance >= QUICK && self.held.is_empty();
-        if !changed && is_settled && self.report.residual <= accepted(budget.tolerance, quick) {
+        if !changed
+            && is_settled
+            && self.report.residual <= accepted_residual(budget.tolerance, quick)
+        {
             self.settle(budget.tolerance);
             return &self.report;
         }
@@ -309,7 +312,7 @@ impl Solver {
                 .all(|p| p.to_refine.items.is_empty());
             let is_apart = quick && self.contacts.is_apart;
             let follows = lags && self.contacts.are_proxies_following();
-            let is_accepted = self.report.residual <= accepted(budget.tolerance, quick);
+            let is_accepted = self.report.residual <= accepted_residual(budget.tolerance, quick);
             let converged = is_accepted && !follows && !is_apart;
             let done = converged && share <= last && (whole || budget.tolerance >= PROVEN);
             if done || self.is_over(budget, due, touches) {

@@ -1,7 +1,7 @@
 //! Warm start: the displacement increment of the last step, extrapolated (the predictor of a continuation method).
 //!
-//! A hand moves smoothly, and equilibrium follows it smoothly. The factor is at most the tool's way relative to its last one:
-//! a tool that stops has nothing to extrapolate. Within that bound a line search along the last increment finds it, because
+//! A hand moves smoothly, and equilibrium follows it smoothly. The factor is at most the tool's motion relative to its last
+//! one: a tool that stops has nothing to extrapolate. Within that bound a line search along the last increment finds it, because
 //! the tool's path does not determine the contacts. The brick forces are known at both ends of the increment and interpolated
 //! linearly. Without contact nothing is extrapolated.
 
