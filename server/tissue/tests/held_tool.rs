@@ -38,9 +38,9 @@ fn hold(tissue: &mut Tissue, centre: impl Fn(f64) -> Vec3, ticks: usize) -> Vec<
         near: true,
         ..Budget::new(2, 0.02)
     };
-    // A hand never holds quite still: 0, 1, 4, 4, 1 µm.
+    // A hand never holds quite still: 0, 0.25, 1, 1, 0.25 µm.
     let forces = (0..ticks).map(|k| {
-        let tool = Tool::ball(1, centre(1e-6 * (k * k % 5) as f64), RADIUS);
+        let tool = Tool::ball(1, centre(0.25e-6 * (k * k % 5) as f64), RADIUS);
         tissue.step(&[tool], budget()).reactions[0].force.norm()
     });
     forces.collect()
