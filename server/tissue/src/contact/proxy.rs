@@ -154,7 +154,7 @@ impl Proxy {
     }
 
     /// Its motion in this step along that of the last one, relative to it: one in steady motion and at first touch, zero if
-    /// it stops, turns back, or moves less than a proxy that waits.
+    /// it stops or turns back. Motions far below those of a proxy that waits count as none.
     pub(super) fn pace(&self) -> f64 {
         let Some(last) = self.last_motion else {
             return 1.0;

@@ -16,7 +16,8 @@ pub struct Budget<'a> {
     /// and three smoothing steps over the active set.
     pub iterations: usize,
     /// Relative residual at which to stop; 1e-6 counts as converged. From 0.02 a step without held nodes is quick: it stops
-    /// at a quarter of this, and elements beyond the active set defer their residual. Nodes follow the coarse levels to within 0.01 mm.
+    /// at a quarter of this, and elements beyond the active set defer their residual. Nodes follow the coarse levels to
+    /// within 0.01 mm.
     pub tolerance: f64,
     /// A quick step that leaves the nodes far from the tools where they are. The next cut or full step moves them.
     pub near: bool,

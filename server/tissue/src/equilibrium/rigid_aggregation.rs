@@ -2,9 +2,9 @@
 //!
 //! The warm start extrapolates along a straight line. Tissue pressed nearly flat is hundreds of times stiffer than at
 //! rest: a small strain there dominates the work along the increment, so that the line search accepts a hundredth of it.
-//! If it accepts less than half of its bound, the bricks that resist most are aggregated into rigid groups. Connected bricks move by the
-//! mean of their free nodes, or not at all if one of their nodes is held; the smoother corrects the rest. (The seed's rigid
-//! clusters, Lin 2007, section 3.5, applied to displacements instead of forces.)
+//! If it accepts less than half of its bound, the bricks that resist most are aggregated into rigid groups. Connected bricks
+//! move by the mean of their free nodes, or not at all if one of their nodes is held; the smoother corrects the rest. (The
+//! seed's rigid clusters, Lin 2007, section 3.5, applied to displacements instead of forces.)
 
 use std::collections::BTreeMap;
 
