@@ -12,8 +12,7 @@ const BLOWN_UP: f64 = 1e4;
 
 /// Limits of a step.
 pub struct Budget<'a> {
-    /// Maximum iterations (three at first touch in a quick step, if that is more). One iteration is a coarse correction
-    /// and three smoothing steps over the active set.
+    /// Maximum iterations. One iteration is a coarse correction and three smoothing steps over the active set.
     pub iterations: usize,
     /// Relative residual at which to stop; 1e-6 counts as converged. From 0.02 a step without held nodes is quick: it stops
     /// at a quarter of this, and elements beyond the active set defer their residual. Nodes follow the coarse levels to
@@ -21,8 +20,7 @@ pub struct Budget<'a> {
     pub tolerance: f64,
     /// A quick step that leaves the nodes far from the tools where they are. The next cut or full step moves them.
     pub near: bool,
-    /// Called between iterations; `true` stops, for example at a time limit. One iteration is always made, and up to
-    /// three where a tool has jumped, or in a quick step has just touched the tissue.
+    /// Called between iterations; `true` stops, for example at a time limit. One iteration is always made.
     pub stop: Option<&'a mut dyn FnMut() -> bool>,
 }
 

@@ -62,8 +62,6 @@ mechanisms! {
     KnownForces "known-forces",
     /// Limit of the active nodes.
     WorkLimit "work-limit",
-    /// Three iterations at first touch and after a jump.
-    FirstTouch "first-touch",
     /// Further iterations while the force of a tool changes.
     SteadyForce "steady-force",
     /// Points on the rim of a coarse level follow the last increment of the coarser level.

@@ -48,8 +48,6 @@ const PROVEN: f64 = 1e-3;
 pub(super) const QUICK: f64 = 0.02;
 /// Factor by which the threshold is lowered.
 const DEEPEN: f64 = 0.25;
-/// Minimum iterations after a jump or at first touch, where no warm start exists.
-const DUE: usize = 3;
 /// Full solves: move of a contact node in spacings after which contacts are searched again. With the contacts of its
 /// start, one in seventeen solves of a sphere put into a wound did not converge.
 const SEARCH_AGAIN: f64 = 0.5;
@@ -218,7 +216,10 @@ impl Solver {
         self.report.steady = true;
         self.report.visits = [0; 2];
         self.report.rolled_back = false;
-        let is_settled = !self.contacts.are_proxies_following() && !self.contacts.is_apart;
+        // A proxy that waited may move on when the tissue has yielded.
+        let may_move = self.contacts.is_solved && self.report.lag_m > 0.0;
+        let is_settled =
+            !self.contacts.are_proxies_following() && !self.contacts.is_apart && !may_move;
         if budget.near {
             // A tighter tolerance would exceed the time limit within one iteration.
             budget.tolerance = budget.tolerance.max(QUICK);
@@ -275,15 +276,8 @@ impl Solver {
         self.coarse.follows = self.contacts.proxies.is_empty();
         self.fine.limit_moves(&self.hierarchy, quick);
         let mut share = INITIAL_THRESHOLD;
-        let jumped = lags && self.contacts.are_proxies_following();
         // The contact stiffness on the coarse levels belongs to earlier contacts.
         let mut outdated = true;
-        let touched = self.report.reactions.iter().any(|r| r.contacts > 0);
-        let touches = quick && !touched && !self.contacts.nodes.is_empty();
-        // At least one iteration checks the warm start. After a jump the tissue needs more: after one iteration the
-        // force is ten times too high.
-        let first = (jumped || touches) && self.uses(Mechanism::FirstTouch);
-        let due = if first { DUE } else { 1 };
         let mut smoothing = None;
         let mut bound = EigenvalueBound::BLOCKS;
         let fades = quick && self.uses(Mechanism::FadingReference);
@@ -315,7 +309,9 @@ impl Solver {
             let is_accepted = self.report.residual <= accepted_residual(budget.tolerance, quick);
             let converged = is_accepted && !follows && !is_apart;
             let done = converged && share <= last && (whole || budget.tolerance >= PROVEN);
-            if done || self.is_over(budget, due, touches) {
+            // A quick step has asked before its proxies moved: what has yet to yield would be felt as a force.
+            let asks = !quick || self.report.iterations == 0;
+            if done || asks && self.is_over(budget) {
                 break;
             }
             // All active residuals are near the threshold: only a lower threshold reduces them further.
@@ -333,17 +329,17 @@ impl Solver {
             }
             self.correct(u, share * allowed, quick);
             smoothing = Some(self.smooth(u, (!quick).then_some(&mut bound)));
+            // The next quick step chooses the active set of a further iteration.
+            let repeats = self.uses(Mechanism::SteadyForce);
+            self.report.steady = quick && (!repeats || self.are_forces_steady(u));
+            let moves_on = lags && self.contacts.are_proxies_following();
+            if quick && (self.report.steady && !moves_on || self.is_over(budget)) {
+                break;
+            }
             let limit = SEARCH_AGAIN * topology.model().spacing_m;
             if lags || !quick && self.contacts.have_moved(u, limit) {
                 lags = self.gather(topology, u);
                 outdated = true;
-            }
-            // The next quick step chooses the active set of a further iteration.
-            let repeats = self.uses(Mechanism::SteadyForce);
-            self.report.steady = quick && (!repeats || self.are_forces_steady(u));
-            let steady = self.report.steady && self.report.iterations >= due;
-            if quick && (steady || self.is_over(budget, due, touches)) {
-                break;
             }
         }
         if quick {
@@ -366,11 +362,10 @@ impl Solver {
         }
     }
 
-    /// Whether the iteration ends. `due` iterations are always made; at first touch even beyond the budget.
-    fn is_over(&self, budget: &mut Budget<'_>, due: usize, touches: bool) -> bool {
+    /// Whether the iteration ends. At least one iteration checks the warm start.
+    fn is_over(&self, budget: &mut Budget<'_>) -> bool {
         let done = self.report.iterations;
-        let more = done < due;
-        done >= budget.iterations && !(more && touches) || !more && budget.is_over()
+        done >= budget.iterations || done > 0 && budget.is_over()
     }
 
     /// Stage: a last smoothing around the contacts, then the residual.
