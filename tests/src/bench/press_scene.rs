@@ -239,7 +239,7 @@ impl PressScene {
                 draws_back,
                 tool: number,
                 depth_mm: (RADIUS_M - (tool.centre - location.middle).dot(&location.normal)) * 1e3,
-                force_n: along(report, location),
+                force_n: felt(report, tool, location),
                 ms: ms(),
                 iterations: report.iterations,
                 active: report.active_nodes,
@@ -256,7 +256,7 @@ impl PressScene {
             let budget = Budget::new(200, self.converged);
             let report = exact.step(&[*tool], budget);
             for tick in model.ticks.iter_mut().filter(|t| t.tool == k) {
-                tick.converged_n = along(report, &model.location);
+                tick.converged_n = felt(report, tool, &model.location);
                 tick.error = (tick.force_n - tick.converged_n) / tick.converged_n.max(LEAST_N);
                 tick.converged_residual = report.residual;
             }
@@ -264,8 +264,12 @@ impl PressScene {
     }
 }
 
-fn along(report: &StepReport, location: &ToolLocation) -> f64 {
-    report.reactions[0].force.dot(&location.normal)
+/// The force along the location's normal that the force loop renders at the pose of the tool: that at the proxy, continued
+/// linearly.
+fn felt(report: &StepReport, tool: &Tool, location: &ToolLocation) -> f64 {
+    let reaction = &report.reactions[0];
+    let felt = reaction.force - reaction.stiffness * (tool.centre - reaction.at);
+    felt.dot(&location.normal).max(0.0)
 }
 
 fn summary(model: Prepared) -> PressSceneReport {
