@@ -375,6 +375,10 @@ impl ReplicaLoop {
         let is_trusted = !self.link_lost && !self.inputs.site.is_resyncing();
         let solves = self.inputs.site.counters().haptic_solves;
         if let Some(mut model) = self.inputs.site.haptic_step(began, pose, buttons, budget) {
+            let newest = hand.newest.read().sample.pose;
+            if newest != pose {
+                self.inputs.site.renew_edge(&mut model, newest);
+            }
             if model.touching().next().is_some() {
                 self.inputs.reach = None;
             }

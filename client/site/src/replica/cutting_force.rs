@@ -25,7 +25,7 @@ pub(super) struct CuttingForce {
 }
 
 impl CuttingForce {
-    /// Adds the resistance of the tissue against a tool that cuts to the model of its contacts.
+    /// Sets the resistance of the tissue against a tool that cuts in the model of its contacts.
     pub(super) fn add_to(&mut self, model: &mut ContactModel, tissue: &Tissue, tool: &ToolAt) {
         let Some(blade) = tool.edge() else {
             // The next cut begins elsewhere, in another direction.
@@ -36,6 +36,8 @@ impl CuttingForce {
         let track = self.tracks.entry(tool.participant).or_default();
         let edge = edge_resistance(topology, shape, history, &blade, track);
         if edge.newtons <= 0.0 {
+            // A blade that cuts has no other contact.
+            model.touches[0] = Touch::NONE;
             return;
         }
         model.x0 = tool.position;
@@ -165,6 +167,29 @@ mod tests {
         };
         tissue.cut(&stroke).unwrap();
         assert_eq!(pressed_n(&tissue), 0.0);
+    }
+
+    #[test]
+    fn renewed_resistance_is_that_of_the_newer_pose() {
+        let mut replica = Replica::new(tissue(), true);
+        let now = ClientTime::ZERO;
+        let deeper = |by: f64| {
+            let mut tool = blade(5.0);
+            tool.position.z -= by * CELL_M;
+            tool
+        };
+        let mut model = replica.haptic_step(now, Some(&deeper(0.0)), &[], Budget::new(4, 1e-2));
+        replica.renew_edge(&mut model, &deeper(1.0));
+        let direct = replica.haptic_step(now, Some(&deeper(1.0)), &[], Budget::new(4, 1e-2));
+        let grown = TOUGHNESS_J_M2 * 2.8 * CELL_M;
+        assert!(
+            (model.touches[0].pressed_n - grown).abs() < 0.02,
+            "{}",
+            model.touches[0].pressed_n
+        );
+        assert_eq!(model.touches, direct.touches);
+        replica.renew_edge(&mut model, &deeper(-3.0));
+        assert!(!model.in_contact());
     }
 
     #[test]

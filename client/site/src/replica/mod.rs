@@ -373,6 +373,15 @@ impl Replica {
             ..model
         }
     }
+
+    /// Renews the resistance against the edge of a blade that cuts, at its pose since the solve of `model`.
+    pub fn renew_edge(&mut self, model: &mut ContactModel, own: &ToolAt) {
+        if let Some(tissue) = self.haptic.tissue_mut()
+            && own.edge().is_some()
+        {
+            self.cutting.add_to(model, tissue, own);
+        }
+    }
 }
 
 /// Energy that other hands have put into the tissue.

@@ -122,4 +122,17 @@ impl Site {
         });
         Some(model)
     }
+
+    /// Renews the resistance against the edge of the own blade at a newer `pose`. A solve takes milliseconds; meanwhile the
+    /// blade goes deeper.
+    pub fn renew_edge(&mut self, model: &mut ContactModel, pose: palpate_device::Pose) {
+        if let Some(solved) = self.last_solve.as_ref().and_then(|last| last.own) {
+            let own = ToolAt {
+                position: pose.position,
+                orientation: pose.orientation,
+                ..solved
+            };
+            self.replica.renew_edge(model, &own);
+        }
+    }
 }
