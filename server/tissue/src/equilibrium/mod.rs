@@ -22,8 +22,9 @@
 //! | `settling` | first steps after a return to fewer cuts |
 //! | `solver` | one step and its stages |
 //!
-//! A step applies the warm start and gathers contacts. Each iteration then chooses the active set, computes its forces,
-//! corrects by a V-cycle with line search, and smooths with block Jacobi Chebyshev steps. Coarse operators belong to the
+//! A step gathers contacts and applies the warm start. Each iteration then chooses the active set, computes its forces,
+//! corrects by a V-cycle with line search, and smooths with block Jacobi Chebyshev steps; proxies move on before the next
+//! one. Coarse operators belong to the
 //! rest state, except where tissue has hardened. The order of operations is fixed and no clock is read: equal steps give
 //! equal bits, for any number of threads and any vector width.
 //!

@@ -25,7 +25,7 @@ impl Solver {
             // Only the increment near the contacts is extrapolated: the rest costs more than it gains.
             let share = self.increment_line_search(u, &mut last, pace);
             self.extrapolate(u, &last, share);
-            // Contacts are gathered again if a tool lags, which updates their nodes.
+            // Before a further iteration contacts are gathered again if a tool lags, which updates their nodes.
             self.fine.mark_applied(&self.hierarchy, &self.coarse);
             self.fine.blend_forces(&self.hierarchy, share as f32);
         }
