@@ -51,15 +51,12 @@ fn held_ball_keeps_its_force() {
     // The side of a pinned base, 16 mm high, cannot give way; multipliers alone would grow at every step.
     for z in [7.0, 15.0, 17.0] {
         let mut tissue = Tissue::at_rest(slab(4));
-        let mut exact = tissue.another();
-        let tool = Tool::ball(1, beside(MM, z * MM), RADIUS);
-        exact.step(&[tool], Budget::new(200, 1e-5));
-        let exact = exact.report().reactions[0].force.norm();
         let forces = hold(&mut tissue, |by| beside(MM + by, z * MM), 100);
-        assert!(exact > 0.5, "{exact}");
+        let first = forces[0];
+        assert!(first > 0.5, "{first}");
         assert!(
-            forces.iter().all(|f| (f / exact - 1.0).abs() < 0.01),
-            "{z} mm: {exact} {forces:.3?}"
+            forces.iter().all(|f| (f / first - 1.0).abs() < 0.01),
+            "{z} mm: {forces:.3?}"
         );
     }
 

@@ -12,7 +12,8 @@ const BLOWN_UP: f64 = 1e4;
 
 /// Limits of a step.
 pub struct Budget<'a> {
-    /// Maximum iterations. One iteration is a coarse correction and three smoothing steps over the active set.
+    /// Maximum iterations (three at first touch in a quick step, if that is more). One iteration is a coarse correction
+    /// and three smoothing steps over the active set.
     pub iterations: usize,
     /// Relative residual at which to stop; 1e-6 counts as converged. From 0.02 a step without held nodes is quick: it stops
     /// at a quarter of this, and elements beyond the active set defer their residual. Nodes follow the coarse levels to

@@ -62,6 +62,8 @@ mechanisms! {
     KnownForces "known-forces",
     /// Limit of the active nodes.
     WorkLimit "work-limit",
+    /// Three iterations at first touch, as far as time allows.
+    FirstTouch "first-touch",
     /// Further iterations while the force of a tool changes.
     SteadyForce "steady-force",
     /// Points on the rim of a coarse level follow the last increment of the coarser level.

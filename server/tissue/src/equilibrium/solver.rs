@@ -48,6 +48,8 @@ const PROVEN: f64 = 1e-3;
 pub(super) const QUICK: f64 = 0.02;
 /// Factor by which the threshold is lowered.
 const DEEPEN: f64 = 0.25;
+/// Iterations at first touch, where no warm start exists; a time limit may leave one.
+const DUE: usize = 3;
 /// Full solves: move of a contact node in spacings after which contacts are searched again. With the contacts of its
 /// start, one in seventeen solves of a sphere put into a wound did not converge.
 const SEARCH_AGAIN: f64 = 0.5;
@@ -278,6 +280,13 @@ impl Solver {
         let mut share = INITIAL_THRESHOLD;
         // The contact stiffness on the coarse levels belongs to earlier contacts.
         let mut outdated = true;
+        let touched = self.report.reactions.iter().any(|r| r.contacts > 0);
+        let touches = quick && !touched && !self.contacts.nodes.is_empty();
+        let due = if touches && self.uses(Mechanism::FirstTouch) {
+            DUE
+        } else {
+            1
+        };
         let mut smoothing = None;
         let mut bound = EigenvalueBound::BLOCKS;
         let fades = quick && self.uses(Mechanism::FadingReference);
@@ -311,7 +320,7 @@ impl Solver {
             let done = converged && share <= last && (whole || budget.tolerance >= PROVEN);
             // A quick step has asked before its proxies moved: what has yet to yield would be felt as a force.
             let asks = !quick || self.report.iterations == 0;
-            if done || asks && self.is_over(budget) {
+            if done || asks && self.is_over(budget, due) {
                 break;
             }
             // All active residuals are near the threshold: only a lower threshold reduces them further.
@@ -333,7 +342,7 @@ impl Solver {
             let repeats = self.uses(Mechanism::SteadyForce);
             self.report.steady = quick && (!repeats || self.are_forces_steady(u));
             let moves_on = lags && self.contacts.are_proxies_following();
-            if quick && (self.report.steady && !moves_on || self.is_over(budget)) {
+            if quick && (self.report.steady && !moves_on || self.is_over(budget, due)) {
                 break;
             }
             let limit = SEARCH_AGAIN * topology.model().spacing_m;
@@ -362,10 +371,12 @@ impl Solver {
         }
     }
 
-    /// Whether the iteration ends. At least one iteration checks the warm start.
-    fn is_over(&self, budget: &mut Budget<'_>) -> bool {
+    /// Whether the iteration ends: at the limit of the budget, or after `due` iterations if those are more, or in time. At least
+    /// one iteration checks the warm start.
+    fn is_over(&self, budget: &mut Budget<'_>, due: usize) -> bool {
         let done = self.report.iterations;
-        done >= budget.iterations || done > 0 && budget.is_over()
+        let is_due = due > 1 && done < due;
+        done >= budget.iterations && !is_due || done > 0 && budget.is_over()
     }
 
     /// Stage: a last smoothing around the contacts, then the residual.
