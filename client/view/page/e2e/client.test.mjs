@@ -36,8 +36,8 @@ test("the page of a client shows its own replica while its hand presses", async 
   fs.writeFileSync(script, `format = "palpate-script/1"\n[tool]\nkind = "probe"\nradius_mm = 8.0\n${ways.join("")}`);
   const { client, url } = await join("--name", "ann", "--script", script, "--duration", String(HOLD_S + 4));
   const page = await Visitor.open(browser, url, "ann");
-  const state = await page.until("pressed", (s) => s.own_force_n > 0.2 && s.probe?.displacement_m !== null);
-  assert.equal(state.status, "joined");
+  // Poses and forces can arrive before the tissue.
+  await page.until("pressed", (s) => s.status === "joined" && s.own_force_n > 0.2 && s.probe?.displacement_m != null);
   await pause(4000);
   const held = await page.state();
   assert.ok(Math.hypot(...held.probe.displacement_m) > 2e-3, `the tissue is pressed: ${held.probe.displacement_m}`);
