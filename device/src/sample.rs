@@ -156,6 +156,12 @@ impl Faults {
 
 bit_set!(Faults);
 
+/// Maximum speed of a prediction, m/s: hands that touch something are slower, glitches of a device are not.
+const SPEED_MAX_M_S: f64 = 1.0;
+
+/// The same for rotations, rad/s.
+const SPEED_MAX_RAD_S: f64 = 10.0;
+
 /// One reading of a device; plain data that is copied between threads.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
@@ -189,6 +195,15 @@ impl Sample {
         }
     }
 
+    /// The pose `dt_s` seconds later at constant velocity, of at most 1 m/s and 10 rad/s.
+    pub fn predicted_pose(&self, dt_s: f64) -> Pose {
+        let turn = self.angular_velocity.cap_magnitude(SPEED_MAX_RAD_S) * dt_s;
+        Pose {
+            position: self.pose.position + self.velocity.cap_magnitude(SPEED_MAX_M_S) * dt_s,
+            orientation: UnitQuaternion::from_scaled_axis(turn) * self.pose.orientation,
+        }
+    }
+
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         self.pose.is_finite()
@@ -204,6 +219,8 @@ fn is_finite(v: &Vector3<f64>) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::{Buttons, Faults, Pose, Sample, Wrench};
     use crate::DeviceTime;
 
@@ -222,6 +239,31 @@ mod tests {
             assert!(!bad.is_finite(), "field {field}");
         }
         assert!(Wrench::ZERO.is_finite());
+    }
+
+    proptest! {
+        #[test]
+        fn a_uniform_motion_is_predicted(
+            v in prop::array::uniform3(-0.5_f64..0.5),
+            w in prop::array::uniform3(-5.0_f64..5.0),
+            dt_s in 0.0_f64..0.05,
+        ) {
+            let mut sample = Sample::resting(DeviceTime::ZERO, Pose::default());
+            (sample.velocity, sample.angular_velocity) = (v.into(), w.into());
+            let at = sample.predicted_pose(dt_s);
+            prop_assert!((at.position - sample.velocity * dt_s).norm() < 1e-12);
+            let turned = at.orientation.scaled_axis() - sample.angular_velocity * dt_s;
+            prop_assert!(turned.norm() < 1e-9);
+        }
+
+        #[test]
+        fn a_glitch_of_the_velocity_is_bounded(v in -1e3_f64..1e3, w in -1e3_f64..1e3) {
+            let mut sample = Sample::resting(DeviceTime::ZERO, Pose::default());
+            (sample.velocity.x, sample.angular_velocity.y) = (v, w);
+            let at = sample.predicted_pose(0.02);
+            prop_assert!(at.position.norm() <= 0.02 + 1e-12);
+            prop_assert!(at.orientation.angle() <= 0.2 + 1e-9);
+        }
     }
 
     #[test]

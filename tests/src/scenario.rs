@@ -12,9 +12,9 @@
 use std::sync::Arc;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use palpate_client::realtime::worked;
+use palpate_client::realtime::{Horizon, worked};
 use palpate_device::script::{Hand, Script, ScriptPose, Tool as ScriptTool, Waypoint};
-use palpate_device::{DeviceCaps, DeviceTime, Sample, Workspace, Wrench};
+use palpate_device::{DeviceCaps, DeviceTime, Pose, Sample, Workspace, Wrench};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Events};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{ClientTime, ParticipantId, Span};
@@ -170,13 +170,13 @@ impl Scenario {
         (self.path.end_s() * 1e3).round() as i64
     }
 
-    fn at(&self, at: &ScriptPose) -> ToolAt {
+    fn at(&self, pose: &Pose, button: bool) -> ToolAt {
         ToolAt {
             participant: ParticipantId(1),
             description: self.tool,
-            position: at.pose.position,
-            orientation: at.pose.orientation,
-            buttons: u8::from(at.button),
+            position: pose.position,
+            orientation: pose.orientation,
+            buttons: u8::from(button),
             strength: 1.0,
             returns: false,
         }
@@ -185,6 +185,7 @@ impl Scenario {
     fn render(&self, progress: &mut dyn FnMut(f64)) -> (Vec<Point>, Counters, [f64; 2]) {
         let mut replica = Replica::new(Arc::clone(&self.model), true);
         let mut chain = Chain::new(ChainConfig::default(), &caps());
+        let mut horizon = Horizon::default();
         let (mut known, mut coming) = (ContactModel::FREE, None::<(ClientTime, ContactModel)>);
         let (mut solve_at, mut times, mut slid) = (ClientTime::ZERO, Vec::new(), 0);
         let mut points = Vec::new();
@@ -192,6 +193,11 @@ impl Scenario {
         for tick in -lead..=self.ticks() {
             let now = ClientTime::ZERO + LEAD + Span::from_micros(tick * TICK.as_micros());
             let at = self.path.pose(tick as f64 * 1e-3);
+            let sample = Sample {
+                velocity: at.velocity,
+                angular_velocity: at.angular_velocity,
+                ..Sample::resting(DeviceTime::from_micros(now.as_micros()), at.pose)
+            };
             if let Some((_, model)) = coming.take_if(|(ready, _)| *ready <= now) {
                 known = model;
             }
@@ -199,19 +205,17 @@ impl Scenario {
                 let began = worked();
                 let mut stop = || worked() - began > HAPTIC_PERIOD;
                 let budget = hand_budget(&mut stop);
-                let model = replica.haptic_step(now, Some(&self.at(&at)), &[], budget);
+                let ahead = horizon.after(now) - now;
+                let tool = self.at(&sample.predicted_pose(ahead.as_secs_f64()), at.button);
+                let model = replica.haptic_step(now, Some(&tool), &[], budget);
                 let took = worked() - began;
+                horizon.note_model(now, now + took);
                 coming = Some((now + took, model));
                 solve_at = (now + HAPTIC_PERIOD).max(now + took);
                 if tick >= 0 {
                     times.push(took.as_secs_f64() * 1e3);
                 }
             }
-            let sample = Sample {
-                velocity: at.velocity,
-                angular_velocity: at.angular_velocity,
-                ..Sample::resting(DeviceTime::from_micros(now.as_micros()), at.pose)
-            };
             let done = chain.tick(now, &sample, &known);
             let slides = done.events.contains(Events::SLIP) && !done.events.contains(Events::STICK);
             slid = if slides { slid + 1 } else { 0 };
@@ -235,7 +239,7 @@ impl Scenario {
         let count = points.len();
         for (k, point) in points.iter_mut().enumerate().step_by(CHECK_MS as usize) {
             let at = self.path.pose(point.t_s);
-            let tools: Vec<Tool> = self.at(&at).contacts().collect();
+            let tools: Vec<Tool> = self.at(&at.pose, at.button).contacts().collect();
             let budget = Budget::new(ITERATIONS, CONVERGED);
             let report = tissue.step(&tools, budget);
             point.solution = Some(solution(&report.reactions, &at, report.residual));

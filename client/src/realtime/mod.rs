@@ -18,6 +18,7 @@ mod clock;
 mod hand_loop;
 mod handle;
 mod haptic_thread;
+mod horizon;
 #[cfg(test)]
 mod input_tests;
 mod pace;
@@ -33,6 +34,7 @@ pub use hand_loop::{
 };
 pub use handle::{HapticHandle, LoopSummary};
 pub use haptic_thread::{HapticPorts, RealtimeConfig, spawn};
+pub use horizon::Horizon;
 pub use pace::Pace;
 pub use stats::{Lateness, LoopStats};
 pub use trace::Trace;

@@ -26,7 +26,7 @@ use crate::network::Inbox;
 use crate::page::PageWindow;
 use crate::program::Ending;
 use crate::realtime::{
-    Frame, device_time, monotonic_now, park_until, single_thread_pool, sleep_until, worked,
+    Frame, Horizon, device_time, monotonic_now, park_until, single_thread_pool, sleep_until, worked,
 };
 use crate::recording::{Recording, VIEW_HZ, ViewRecord};
 use crate::{SolveTimes, StartAt, Summary};
@@ -80,6 +80,7 @@ impl ReplicaThread {
             helpers: None,
             resyncs: 0,
             progress: Arc::clone(&progress),
+            horizon: Horizon::default(),
             haptic_us: histogram(),
             view_us: histogram(),
             first_view: None,
@@ -156,6 +157,7 @@ struct ReplicaLoop {
     /// Number of resyncs before the replica of the helpers.
     resyncs: u64,
     progress: Arc<Mutex<Progress>>,
+    horizon: Horizon,
     haptic_us: Histogram<u32>,
     view_us: Histogram<u32>,
     first_view: Option<ClientTime>,
@@ -368,14 +370,14 @@ impl ReplicaLoop {
         }
         let (began, at_first) = (monotonic_now(), worked());
         let mut stop = || worked() - at_first > HAPTIC_PERIOD;
-        let sample = &frame.sample;
         let budget = hand_budget(&mut stop);
         let buttons = frame.tool_buttons();
-        let pose = sample.pose;
+        let time_of_use = self.horizon.after(frame.time);
+        let pose = frame.predicted_pose(time_of_use);
         let is_trusted = !self.link_lost && !self.inputs.site.is_resyncing();
         let solves = self.inputs.site.counters().haptic_solves;
         if let Some(mut model) = self.inputs.site.haptic_step(began, pose, buttons, budget) {
-            let newest = hand.newest.read().sample.pose;
+            let newest = hand.newest.read().predicted_pose(time_of_use);
             if newest != pose {
                 self.inputs.site.renew_edge(&mut model, newest);
             }
@@ -387,7 +389,10 @@ impl ReplicaLoop {
             }
             hand.models.write(model);
             if self.inputs.site.counters().haptic_solves > solves {
+                self.horizon.note_model(frame.time, monotonic_now());
                 record_time(&mut self.haptic_us, began);
+            } else {
+                self.horizon.note_pause();
             }
         }
     }

@@ -12,7 +12,7 @@ use palpate_device::{
 use palpate_haptics::{Chain, ChainConfig, ContactModel};
 use palpate_protocol::request::CutRequest;
 use palpate_protocol::{ClientTime, ParticipantId, Pose, ServerTime};
-use palpate_site::{StrokeCollector, ToolAt};
+use palpate_site::{HAPTIC_PERIOD, StrokeCollector, ToolAt};
 
 use super::{LEAD_US, ReferenceError};
 use crate::force_error::ForcePoint;
@@ -136,8 +136,10 @@ impl Seat {
 
     /// Updates the tool pose; returns a stroke that has just ended.
     pub(super) fn take(&mut self, us: i64, sample: &Sample) -> Option<CutRequest> {
-        self.tool.position = sample.pose.position;
-        self.tool.orientation = sample.pose.orientation;
+        // As in a session, the tissue is solved for the middle of the use of its contact model.
+        let used = sample.predicted_pose(HAPTIC_PERIOD.as_secs_f64());
+        self.tool.position = used.position;
+        self.tool.orientation = used.orientation;
         self.tool.buttons = tool_buttons(sample.buttons, self.contact.is_inserted);
         let q = sample.pose.orientation;
         let pose = Pose {
