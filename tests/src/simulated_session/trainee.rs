@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use palpate_client::realtime::{HandLoop, LoopCommands, device_time, local_sample};
+use palpate_client::realtime::{HandLoop, Horizon, LoopCommands, device_time, local_sample};
 use palpate_client::recording::{HapticPoint, Recording, ViewRecord};
 use palpate_client::tool_description;
 use palpate_device::backend::sim::{ScriptStart, SimHand};
@@ -131,7 +131,8 @@ impl Trainee {
             // The solve ends by iterations and residual instead of time, so a seed reproduces it.
             let mut never = || false;
             let budget = hand_budget(&mut never);
-            if let Some(model) = site.haptic_step(now, frame.sample.pose, buttons, budget) {
+            let pose = frame.predicted_pose(Horizon::default().after(now));
+            if let Some(model) = site.haptic_step(now, pose, buttons, budget) {
                 self.contact = model;
             }
         }
