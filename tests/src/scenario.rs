@@ -14,7 +14,7 @@ use std::sync::Arc;
 use nalgebra::{UnitQuaternion, Vector3};
 use palpate_client::realtime::{Horizon, worked};
 use palpate_device::script::{Hand, Script, ScriptPose, Tool as ScriptTool, Waypoint};
-use palpate_device::{DeviceCaps, DeviceTime, Pose, Sample, Workspace, Wrench};
+use palpate_device::{DeviceCaps, DeviceTime, Sample, Workspace, Wrench};
 use palpate_haptics::{Chain, ChainConfig, ContactModel, Counters, Events};
 use palpate_protocol::tool::ToolDescription;
 use palpate_protocol::{ClientTime, ParticipantId, Span};
@@ -170,15 +170,16 @@ impl Scenario {
         (self.path.end_s() * 1e3).round() as i64
     }
 
-    fn at(&self, pose: &Pose, button: bool) -> ToolAt {
+    fn at(&self, at: &ScriptPose) -> ToolAt {
         ToolAt {
             participant: ParticipantId(1),
             description: self.tool,
-            position: pose.position,
-            orientation: pose.orientation,
-            buttons: u8::from(button),
+            position: at.pose.position,
+            orientation: at.pose.orientation,
+            buttons: u8::from(at.button),
             strength: 1.0,
             returns: false,
+            predicted: None,
         }
     }
 
@@ -205,8 +206,11 @@ impl Scenario {
                 let began = worked();
                 let mut stop = || worked() - began > HAPTIC_PERIOD;
                 let budget = hand_budget(&mut stop);
-                let ahead = horizon.after(now) - now;
-                let tool = self.at(&sample.predicted_pose(ahead.as_secs_f64()), at.button);
+                let predicted = Some(horizon.predicted_pose(&sample));
+                let tool = ToolAt {
+                    predicted,
+                    ..self.at(&at)
+                };
                 let model = replica.haptic_step(now, Some(&tool), &[], budget);
                 let took = worked() - began;
                 horizon.note_model(now, now + took);
@@ -239,7 +243,7 @@ impl Scenario {
         let count = points.len();
         for (k, point) in points.iter_mut().enumerate().step_by(CHECK_MS as usize) {
             let at = self.path.pose(point.t_s);
-            let tools: Vec<Tool> = self.at(&at.pose, at.button).contacts().collect();
+            let tools: Vec<Tool> = self.at(&at).contacts().collect();
             let budget = Budget::new(ITERATIONS, CONVERGED);
             let report = tissue.step(&tools, budget);
             point.solution = Some(solution(&report.reactions, &at, report.residual));

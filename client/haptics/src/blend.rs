@@ -28,7 +28,7 @@ use crate::motion::Motion;
 use crate::{CONTACTS_MAX, Contact, ContactModel, Coupling};
 
 /// Maximum blend time. Models further apart are late, and the newest one should take effect soon.
-pub const BLEND_MAX: Span = Span::from_millis(10);
+pub(crate) const BLEND_MAX: Span = Span::from_millis(10);
 
 /// Minimum blend time: one tick.
 const BLEND_MIN: Span = Span::from_millis(1);

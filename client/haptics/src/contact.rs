@@ -37,8 +37,8 @@ pub struct ContactModel {
     pub topology_version: u32,
     /// Solve time. A new value means a new model.
     pub solved_at: ClientTime,
-    /// Position of the tool's pivot at the solve (x0), m: that of the solved
-    /// [`Sample::pose`](palpate_device::Sample), not a point of the surface.
+    /// Position of the tool's pivot in the solve (x0), m: that of the [`Sample`](palpate_device::Sample) or one predicted
+    /// from it, not a point of the surface.
     pub x0: Vector3<f64>,
     /// Orientation of the tool at the solve (R0).
     pub turn0: UnitQuaternion<f64>,

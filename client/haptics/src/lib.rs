@@ -38,7 +38,6 @@ mod soft_start;
 mod touch;
 mod watchdog;
 
-pub use blend::BLEND_MAX;
 pub use chain::{Chain, ChainConfig, Tick};
 pub use contact::{CONTACTS_MAX, ContactModel};
 pub use events::{Counters, Events};

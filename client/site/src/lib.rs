@@ -43,7 +43,7 @@ pub use replica::{
     ThinView, VIEW_ITERATIONS, VIEW_TOLERANCE, View, hand_budget,
 };
 pub use site::{
-    Access, OperationRecord, RESYNCS_MAX, SessionState, Site, SiteCounters, SiteError, ViewFrame,
-    ViewUpdate, grid_index, grid_time,
+    Access, HandPose, OperationRecord, RESYNCS_MAX, SessionState, Site, SiteCounters, SiteError,
+    ViewFrame, ViewUpdate, grid_index, grid_time,
 };
 pub use tools::{Reach, Roster, StrokeCollector, ToolAt, tissue_stroke};

@@ -32,7 +32,7 @@ const SAME_N: f64 = 1e-9;
 pub struct Frame {
     /// Time of the tick, on the client's clock.
     pub time: ClientTime,
-    /// Sample of the device. After a failed or NaN reading it is the last good sample, with
+    /// Sample of the device. After a failed or NaN reading it is the last good sample, at rest and with
     /// [`Faults::UNTRUSTED_POSE`].
     pub sample: Sample,
     /// Whether the device has given a good sample yet. Until then `sample` is no pose of it.
@@ -221,6 +221,8 @@ impl HandLoop {
             time: now,
             sample: good.unwrap_or(Sample {
                 faults: last.faults.with(Faults::UNTRUSTED_POSE),
+                velocity: Vector3::zeros(),
+                angular_velocity: Vector3::zeros(),
                 ..last
             }),
             is_measured: good.is_some() || self.last.is_measured,

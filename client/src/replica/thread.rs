@@ -372,15 +372,10 @@ impl ReplicaLoop {
         let mut stop = || worked() - at_first > HAPTIC_PERIOD;
         let budget = hand_budget(&mut stop);
         let buttons = frame.tool_buttons();
-        let time_of_use = self.horizon.after(frame.time);
-        let pose = frame.predicted_pose(time_of_use);
+        let pose = self.horizon.hand_pose(&frame);
         let is_trusted = !self.link_lost && !self.inputs.site.is_resyncing();
         let solves = self.inputs.site.counters().haptic_solves;
         if let Some(mut model) = self.inputs.site.haptic_step(began, pose, buttons, budget) {
-            let newest = hand.newest.read().predicted_pose(time_of_use);
-            if newest != pose {
-                self.inputs.site.renew_edge(&mut model, newest);
-            }
             if model.touching().next().is_some() {
                 self.inputs.reach = None;
             }

@@ -296,6 +296,7 @@ fn resistance_of_the_edge_is_continuous_in_a_thigh_before_and_after_a_cut() {
                         axis: a.axis.lerp(&b.axis, share).normalize(),
                         depth_m: depth + 4e-3,
                     };
+                    track.follow(&blade);
                     let force = edge_resistance(&t, &shape, &history, &blade, &mut track).newtons;
                     assert!(
                         last.is_none_or(|last| (force - last).abs() < 0.12),

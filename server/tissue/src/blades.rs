@@ -22,6 +22,7 @@ impl Blades {
         self.reactions.clear();
         for (tool, blade) in blades {
             let track = self.tracks.entry(*tool).or_default();
+            track.follow(blade);
             let history = tissue.history();
             let edge = edge_resistance(tissue.topology(), tissue.shape(), history, blade, track);
             if edge.newtons > 0.0 && edge.ahead != Vec3::zeros() {

@@ -120,7 +120,7 @@ pub fn run(
 }
 
 /// Replays the recorded motion of both hands of a session without a network. Each hand has its own replica,
-/// solved as in a session, with the other tool at its position at that time.
+/// solved as in a session, with the other tool where that is.
 ///
 /// Scripted hands yield to forces, and a tool that slips earlier moves elsewhere: two sessions over the same
 /// network differ more by this than by the network. Replayed hands keep their path, so that only the forces

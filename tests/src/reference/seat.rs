@@ -1,7 +1,7 @@
 //! A hand with its haptic chain, its tool and the stroke of its blade.
 
 use nalgebra::{Quaternion, Unit};
-use palpate_client::realtime::tool_buttons;
+use palpate_client::realtime::{Horizon, tool_buttons};
 use palpate_client::recording::Recording;
 use palpate_client::tool_description;
 use palpate_device::backend::replay::{Moment, Motion, Replay};
@@ -12,7 +12,7 @@ use palpate_device::{
 use palpate_haptics::{Chain, ChainConfig, ContactModel};
 use palpate_protocol::request::CutRequest;
 use palpate_protocol::{ClientTime, ParticipantId, Pose, ServerTime};
-use palpate_site::{HAPTIC_PERIOD, StrokeCollector, ToolAt};
+use palpate_site::{StrokeCollector, ToolAt};
 
 use super::{LEAD_US, ReferenceError};
 use crate::force_error::ForcePoint;
@@ -100,6 +100,7 @@ impl Seat {
                 buttons: 0,
                 strength: 1.0,
                 returns: false,
+                predicted: None,
             },
             stroke: StrokeCollector::new(script.tool().length_m),
             forces: Vec::new(),
@@ -136,10 +137,9 @@ impl Seat {
 
     /// Updates the tool pose; returns a stroke that has just ended.
     pub(super) fn take(&mut self, us: i64, sample: &Sample) -> Option<CutRequest> {
-        // As in a session, the tissue is solved for the middle of the use of its contact model.
-        let used = sample.predicted_pose(HAPTIC_PERIOD.as_secs_f64());
-        self.tool.position = used.position;
-        self.tool.orientation = used.orientation;
+        self.tool.position = sample.pose.position;
+        self.tool.orientation = sample.pose.orientation;
+        self.tool.predicted = Some(Horizon::default().predicted_pose(sample));
         self.tool.buttons = tool_buttons(sample.buttons, self.contact.is_inserted);
         let q = sample.pose.orientation;
         let pose = Pose {

@@ -247,7 +247,10 @@ impl TwoHands {
             }
             return;
         }
-        let others = [b.tool, a.tool];
+        let others = [b.tool, a.tool].map(|tool| ToolAt {
+            predicted: None,
+            ..tool
+        });
         for ((replica, seat), other) in self.replicas.iter_mut().zip(&mut self.seats).zip(others) {
             // Iterations and residual end the solve, not time, so that it is reproducible.
             let mut never = || false;

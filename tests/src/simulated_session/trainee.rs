@@ -131,7 +131,7 @@ impl Trainee {
             // The solve ends by iterations and residual instead of time, so a seed reproduces it.
             let mut never = || false;
             let budget = hand_budget(&mut never);
-            let pose = frame.predicted_pose(Horizon::default().after(now));
+            let pose = Horizon::default().hand_pose(&frame);
             if let Some(model) = site.haptic_step(now, pose, buttons, budget) {
                 self.contact = model;
             }

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 use palpate_haptics::{ContactModel, Touch};
 use palpate_protocol::ParticipantId;
-use palpate_tissue::{EdgeTrack, Tissue, edge_resistance};
+use palpate_tissue::{BladePoint, EdgeTrack, Tissue, Vec3, edge_resistance};
 
 use super::contact_model::MODEL_RADIUS_M;
 use crate::tools::ToolAt;
@@ -25,7 +25,7 @@ pub(super) struct CuttingForce {
 }
 
 impl CuttingForce {
-    /// Sets the resistance of the tissue against a tool that cuts in the model of its contacts.
+    /// Adds the resistance of the tissue against a tool that cuts to the model of its contacts.
     pub(super) fn add_to(&mut self, model: &mut ContactModel, tissue: &Tissue, tool: &ToolAt) {
         let Some(blade) = tool.edge() else {
             // The next cut begins elsewhere, in another direction.
@@ -34,14 +34,20 @@ impl CuttingForce {
         };
         let (topology, shape, history) = (tissue.topology(), tissue.shape(), tissue.history());
         let track = self.tracks.entry(tool.participant).or_default();
+        // A predicted tip may move backwards while the hand brakes.
+        track.follow(&blade);
+        let solved = tool.solved_pose();
+        let blade = BladePoint {
+            tip: solved.position,
+            axis: solved.orientation * Vec3::z(),
+            ..blade
+        };
         let edge = edge_resistance(topology, shape, history, &blade, track);
         if edge.newtons <= 0.0 {
-            // A blade that cuts has no other contact.
-            model.touches[0] = Touch::NONE;
             return;
         }
-        model.x0 = tool.position;
-        model.turn0 = tool.orientation;
+        model.x0 = solved.position;
+        model.turn0 = solved.orientation;
         model.radius = MODEL_RADIUS_M;
         model.touches[0] = Touch {
             touches: true,
@@ -65,7 +71,7 @@ mod tests {
     use palpate_haptics::{Chain, ChainConfig, Tick};
     use palpate_protocol::ClientTime;
     use palpate_protocol::tool::ToolDescription;
-    use palpate_tissue::{Budget, CutStroke, Model, Vec3};
+    use palpate_tissue::{Budget, CutStroke, Model};
     use proptest::prelude::*;
 
     use super::*;
@@ -103,6 +109,7 @@ mod tests {
                 buttons: 1,
                 strength: 1.0,
                 returns: false,
+                predicted: None,
             };
             if ms % 4 == 0 {
                 model = replica.haptic_step(now, Some(&tool), &[], Budget::new(4, 1e-2));
@@ -146,6 +153,7 @@ mod tests {
             buttons: 1,
             strength: 1.0,
             returns: false,
+            predicted: None,
         }
     }
 
@@ -169,27 +177,32 @@ mod tests {
         assert_eq!(pressed_n(&tissue), 0.0);
     }
 
+    /// While a hand brakes, its predicted tip moves backwards.
     #[test]
-    fn renewed_resistance_is_that_of_the_newer_pose() {
-        let mut replica = Replica::new(tissue(), true);
-        let now = ClientTime::ZERO;
-        let deeper = |by: f64| {
-            let mut tool = blade(5.0);
-            tool.position.z -= by * CELL_M;
-            tool
+    fn braking_blade_keeps_its_direction() {
+        let mut tissue = Tissue::new(tissue());
+        let stroke = CutStroke {
+            points: (-1..7).filter_map(|y| blade(y.into()).edge()).collect(),
+            width_m: 0.5e-3,
         };
-        let mut model = replica.haptic_step(now, Some(&deeper(0.0)), &[], Budget::new(4, 1e-2));
-        replica.renew_edge(&mut model, &deeper(1.0));
-        let direct = replica.haptic_step(now, Some(&deeper(1.0)), &[], Budget::new(4, 1e-2));
-        let grown = TOUGHNESS_J_M2 * 2.8 * CELL_M;
-        assert!(
-            (model.touches[0].pressed_n - grown).abs() < 0.02,
-            "{}",
+        tissue.cut(&stroke).unwrap();
+        let mut force = CuttingForce::default();
+        let mut newtons = |measured: f64, predicted: f64| {
+            let mut tool = blade(measured);
+            tool.predicted = Some(blade(predicted).solved_pose());
+            let mut model = ContactModel::FREE;
+            force.add_to(&mut model, &tissue, &tool);
             model.touches[0].pressed_n
+        };
+        newtons(5.6, 5.8);
+        let moving = newtons(5.8, 6.2);
+        let braking = newtons(5.9, 6.0);
+        let stopped = newtons(5.9, 5.9);
+        assert!(moving > 0.5, "{moving} N");
+        assert!(
+            (braking - moving).abs() < 0.02 && (stopped - moving).abs() < 0.02,
+            "{braking} {stopped} N"
         );
-        assert_eq!(model.touches, direct.touches);
-        replica.renew_edge(&mut model, &deeper(-3.0));
-        assert!(!model.in_contact());
     }
 
     #[test]

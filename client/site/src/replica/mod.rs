@@ -1,8 +1,8 @@
 //! The client's replica of the tissue: two shapes over one topology.
 //!
 //! ```text
-//! haptic shape   own tool now, other tools at the common time s   -> contact model
-//! view shape     all tools at s                                   -> picture
+//! haptic shape   own tool as predicted, other tools at the common time s   -> contact model
+//! view shape     all tools at s                                            -> picture
 //! ```
 //!
 //! The equilibrium is quasi-static, so a shape is a function of topology and contacts. Sites that apply the same
@@ -324,7 +324,7 @@ impl Replica {
         parts.all(|part| tissue.move_free(&part))
     }
 
-    /// Solves the haptic shape: the `own` tool at its position `now`, the other tools at their common time. Without
+    /// Solves the haptic shape: the `own` tool where it is predicted to be, the other tools at their common time. Without
     /// contact the model is free. A failed solve gives an unusable model: the force loop counts it and ages the last
     /// one.
     pub fn haptic_step(
@@ -371,15 +371,6 @@ impl Replica {
         ContactModel {
             external_work_j: self.others.work_j,
             ..model
-        }
-    }
-
-    /// Renews the resistance against the edge of a blade that cuts, at its pose since the solve of `model`.
-    pub fn renew_edge(&mut self, model: &mut ContactModel, own: &ToolAt) {
-        if let Some(tissue) = self.haptic.tissue_mut()
-            && own.edge().is_some()
-        {
-            self.cutting.add_to(model, tissue, own);
         }
     }
 }

@@ -23,6 +23,7 @@ fn tool(depth: f64) -> ToolAt {
         buttons: 0,
         strength: 1.0,
         returns: false,
+        predicted: None,
     }
 }
 

@@ -163,6 +163,7 @@ mod tests {
                     buttons: 0,
                     strength: 1.0,
                     returns: false,
+                    predicted: None,
                 },
                 ms: 0,
                 last: Vec3::zeros(),

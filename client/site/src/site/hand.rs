@@ -4,6 +4,7 @@
 //! has moved, after the topology has changed, or while forces have not settled. Otherwise the contact model is
 //! renewed without a solve.
 
+use palpate_device::Pose;
 use palpate_haptics::ContactModel;
 use palpate_protocol::tool::INSERTED_BUTTON;
 use palpate_protocol::{ClientTime, Span};
@@ -73,27 +74,48 @@ impl LastSolve {
     }
 }
 
+/// The pose of a hand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HandPose {
+    /// The newest measured pose.
+    pub measured: Pose,
+    /// The pose predicted for the time at which the contact model is used.
+    pub predicted: Pose,
+}
+
+/// A hand at rest.
+impl From<Pose> for HandPose {
+    fn from(pose: Pose) -> Self {
+        Self {
+            measured: pose,
+            predicted: pose,
+        }
+    }
+}
+
 impl Site {
-    /// The contact model of the tool at `pose`, solved if anything has changed since the last solve; `None` for
+    /// The contact model of the tool of a `hand`, solved if anything has changed since the last solve; `None` for
     /// spectators. While the log is replayed the tool touches nothing.
     pub fn haptic_step(
         &mut self,
         now: ClientTime,
-        pose: palpate_device::Pose,
+        hand: impl Into<HandPose>,
         buttons: u8,
         budget: Budget<'_>,
     ) -> Option<ContactModel> {
         if !self.replica.has_hand() {
             return None;
         }
+        let hand = hand.into();
         let own = self.own_tool().map(|description| ToolAt {
             participant: self.me,
             description,
-            position: pose.position,
-            orientation: pose.orientation,
+            position: hand.measured.position,
+            orientation: hand.measured.orientation,
             buttons,
             strength: 1.0,
             returns: false,
+            predicted: Some(hand.predicted),
         });
         let others = match self.common_time(now) {
             Some((s, _)) => self.roster.haptic_tools_at(s, self.me),
@@ -121,18 +143,5 @@ impl Site {
             unsettled: self.replica.is_unsettled() || !model.is_usable(),
         });
         Some(model)
-    }
-
-    /// Renews the resistance against the edge of the own blade at a newer `pose`. A solve takes milliseconds; meanwhile the
-    /// blade goes deeper.
-    pub fn renew_edge(&mut self, model: &mut ContactModel, pose: palpate_device::Pose) {
-        if let Some(solved) = self.last_solve.as_ref().and_then(|last| last.own) {
-            let own = ToolAt {
-                position: pose.position,
-                orientation: pose.orientation,
-                ..solved
-            };
-            self.replica.renew_edge(model, &own);
-        }
     }
 }

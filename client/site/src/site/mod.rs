@@ -44,6 +44,7 @@ use crate::tools::{Roster, StrokeCollector, ToolAt};
 
 pub use controlled::{Access, SessionState};
 pub use grid::{grid_index, grid_time};
+pub use hand::HandPose;
 pub use operation_record::OperationRecord;
 pub use resync_policy::RESYNCS_MAX;
 

@@ -69,6 +69,7 @@ impl Reach {
                 buttons: 0,
                 strength: 1.0,
                 returns: false,
+                predicted: None,
             };
             at.contacts().collect::<Vec<_>>()
         });

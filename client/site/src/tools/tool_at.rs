@@ -1,6 +1,7 @@
 //! A tool at one time, and its contact geometry.
 
 use nalgebra::UnitQuaternion;
+use palpate_device::Pose;
 use palpate_protocol::ParticipantId;
 use palpate_protocol::operation::HeldTool;
 use palpate_protocol::timeline::Shown;
@@ -26,6 +27,9 @@ pub struct ToolAt {
     pub strength: f64,
     /// Whether it returns from a hold, so that pictures limit its steps.
     pub returns: bool,
+    /// The pose for which the tissue is solved, predicted for the time at which the contact model is used; `None` for the
+    /// tool's own.
+    pub predicted: Option<Pose>,
 }
 
 /// Lever that converts a rotation into a distance, m: the length of a long tool.
@@ -46,6 +50,7 @@ impl ToolAt {
             buttons: shown.buttons,
             strength: shown.strength,
             returns: shown.returns,
+            predicted: None,
         }
     }
 
@@ -59,6 +64,7 @@ impl ToolAt {
             buttons: held.buttons,
             strength: 1.0,
             returns: false,
+            predicted: None,
         }
     }
 
@@ -68,16 +74,27 @@ impl ToolAt {
         state(self) == state(other)
     }
 
-    /// Whether both are the same tool in the same state, less than `way_m` apart.
+    /// Whether both are the same tool in the same state, solved for poses less than `way_m` apart.
     pub fn is_within(&self, other: &Self, way_m: f64) -> bool {
-        let moved = (self.position - other.position).norm()
-            + LEVER_M * self.orientation.angle_to(&other.orientation);
+        let [a, b] = [self.solved_pose(), other.solved_pose()];
+        let moved =
+            (a.position - b.position).norm() + LEVER_M * a.orientation.angle_to(&b.orientation);
         self.is_alike(other) && moved < way_m
     }
 
     /// Whether it is a cutting blade: its main button is held.
     pub fn is_cutting(&self) -> bool {
         self.description.kind == ToolKind::Scalpel && self.buttons & 1 == 1
+    }
+
+    /// The pose for which the tissue is solved. A needle is not predicted: its channel keeps the farthest place that it reached.
+    pub(crate) fn solved_pose(&self) -> Pose {
+        let own = Pose {
+            position: self.position,
+            orientation: self.orientation,
+        };
+        let is_needle = self.description.kind == ToolKind::Needle;
+        self.predicted.filter(|_| !is_needle).unwrap_or(own)
     }
 
     /// Its edge, if it is a cutting blade.
@@ -99,6 +116,7 @@ impl ToolAt {
         let held = self.buttons & 1 == 1;
         let parts = self.description.parts(held).enumerate();
         let presses = self.strength > 0.0 && !self.is_cutting();
+        let pose = self.solved_pose();
         let needle = (self.description.kind == ToolKind::Needle).then_some(Needle {
             is_inserted: self.is_inserted(),
             decides: false,
@@ -106,13 +124,13 @@ impl ToolAt {
         parts
             .filter(move |_| presses)
             .map(move |(i, part)| Tool {
-                turn: self.orientation,
+                turn: pose.orientation,
                 form: Form::rectangle(part.mid.into(), part.half.map(Vec3::from)),
                 needle,
                 strength: self.strength,
                 ..Tool::ball(
                     part_id(self.participant, i),
-                    self.position,
+                    pose.position,
                     self.description.radius_m,
                 )
             })
@@ -124,4 +142,30 @@ impl ToolAt {
 pub(crate) fn gather<'a>(into: &mut Vec<Tool>, tools: impl Iterator<Item = &'a ToolAt>) {
     into.clear();
     into.extend(tools.flat_map(ToolAt::contacts));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tools_are_solved_where_they_are_predicted_and_needles_where_they_are() {
+        let of = |description| ToolAt {
+            participant: ParticipantId(1),
+            description,
+            position: Vec3::zeros(),
+            orientation: UnitQuaternion::identity(),
+            buttons: 0,
+            strength: 1.0,
+            returns: false,
+            predicted: Some(Pose::at(Vec3::x())),
+        };
+        let needle = of(ToolDescription {
+            kind: ToolKind::Needle,
+            ..ToolDescription::scalpel(5e-4, 0.1)
+        });
+        let solved_m = |tool: ToolAt| tool.contacts().next().unwrap().centre.x;
+        assert_eq!(solved_m(of(ToolDescription::probe(5e-3))), 1.0);
+        assert_eq!(solved_m(needle), 0.0);
+    }
 }

@@ -45,7 +45,8 @@ pub struct EdgeTrack {
 }
 
 impl EdgeTrack {
-    fn follow(&mut self, blade: &BladePoint) {
+    /// Follows the edge to where its blade is.
+    pub fn follow(&mut self, blade: &BladePoint) {
         let moved = blade.tip - *self.from.get_or_insert(blade.tip);
         if moved.norm() < TURN_M {
             return;
@@ -67,8 +68,7 @@ pub struct EdgeResistance {
     pub ahead: Vec3,
 }
 
-/// The resistance against a blade in the deformed shape, after the strokes of `history`. `track` follows the edge from call to
-/// call.
+/// The resistance against a blade in the deformed shape, after the strokes of `history`. `track` has followed the edge.
 pub fn edge_resistance(
     topology: &Topology,
     shape: &Shape,
@@ -76,7 +76,6 @@ pub fn edge_resistance(
     blade: &BladePoint,
     track: &mut EdgeTrack,
 ) -> EdgeResistance {
-    track.follow(blade);
     let ahead = track.ahead.unwrap_or_default();
     let mut search = Search::new(topology, shape);
     let place = |along_m: f64| blade.tip + blade.axis * along_m;
@@ -223,6 +222,7 @@ mod tests {
 
     fn total(topology: &Topology, shape: &Shape, blade: &BladePoint) -> (f64, f64) {
         let (history, track) = (without_strokes(topology), &mut EdgeTrack::default());
+        track.follow(blade);
         let edge = edge_resistance(topology, shape, &history, blade, track);
         (edge.newtons, edge.newtons * edge.along_m)
     }
@@ -342,6 +342,7 @@ mod tests {
             let newtons = (0..steps as usize).map(|i| {
                 let blade = self.bend.blade(&from.lerp(&to, i as f64 / steps));
                 let (topology, history) = (&self.topology, &self.history);
+                track.follow(&blade);
                 edge_resistance(topology, &shape, history, &blade, &mut track).newtons
             });
             newtons.sum::<f64>() * (to - from).norm() / steps
@@ -472,6 +473,7 @@ mod tests {
                 cut(&mut topology, &stroke).unwrap();
             }
             let (shape, history) = (Shape::rest(&topology), without_strokes(&topology));
+            track.follow(&point(y));
             let edge = edge_resistance(&topology, &shape, &history, &point(y), &mut track);
             let force = edge.newtons;
             if let Some(last) = last {

@@ -21,6 +21,7 @@ fn tool(who: u16, x: f64, depth: f64) -> ToolAt {
         buttons: 0,
         strength: 1.0,
         returns: false,
+        predicted: None,
     }
 }
 
