@@ -23,8 +23,8 @@ const MODELS: i64 = 8;
 #[derive(Debug, Clone)]
 pub struct Horizon {
     mean: Span,
-    /// Times of sample and publication of the last model; `None` if that was not solved.
-    last: Option<(ClientTime, ClientTime)>,
+    /// Time of the sample of the last model; `None` if that was not solved.
+    last: Option<ClientTime>,
 }
 
 /// The horizon of solves that take no time.
@@ -53,12 +53,13 @@ impl Horizon {
 
     /// Notes that a model of the sample at `sampled` was solved and published; it replaces the last one.
     pub fn note_model(&mut self, sampled: ClientTime, published: ClientTime) {
-        if let Some((from, began)) = self.last {
-            let middle_us = (began - from + (published - began)).as_micros();
+        if let Some(last) = self.last {
+            // The last model is in the middle of its use when the next one is published.
+            let middle_us = (published - last).as_micros();
             let change_us = middle_us.clamp(0, HORIZON_MAX.as_micros()) - self.mean.as_micros();
             self.mean += Span::from_micros(change_us / MODELS);
         }
-        self.last = Some((sampled, published));
+        self.last = Some(sampled);
     }
 
     /// Notes that the last model stays in use without a solve.
