@@ -122,7 +122,7 @@ impl Blend {
 
     /// Accepts `model`, which is usable, if it is new; returns whether it was.
     pub(crate) fn take(&mut self, model: &ContactModel, now: ClientTime, motion: &Motion) -> bool {
-        let id = |m: &ContactModel| (m.topology_version, m.solved_at);
+        let id = |m: &ContactModel| (m.topology_version, m.solved_at, m.in_contact());
         if id(model) == id(&self.model) {
             return false;
         }

@@ -258,7 +258,12 @@ impl Chain {
         let motion = Motion::of(sample);
         let was_touching = self.contact_points.grips().any();
         if model.is_usable() {
-            if self.blend.take(model, now, &motion) {
+            let is_taken = if model.holds_for(sample.buttons) {
+                self.blend.take(model, now, &motion)
+            } else {
+                self.blend.take(&model.without_contact(), now, &motion)
+            };
+            if is_taken {
                 self.solved_at = self.in_own_time(model.solved_at, now);
             }
         } else {

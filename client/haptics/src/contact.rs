@@ -19,7 +19,7 @@
 //! point contact.
 
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
-use palpate_device::Pose;
+use palpate_device::{Buttons, Pose};
 use palpate_protocol::ClientTime;
 
 use crate::Touch;
@@ -57,6 +57,8 @@ pub struct ContactModel {
     pub force_limit_n: f64,
     /// Whether the tool is a needle in the tissue; other sites follow this state.
     pub is_inserted: bool,
+    /// For a blade, whether it cut in the solve; `None` for other tools.
+    pub cuts: Option<bool>,
 }
 
 impl ContactModel {
@@ -72,6 +74,7 @@ impl ContactModel {
         external_work_j: 0.0,
         force_limit_n: f64::INFINITY,
         is_inserted: false,
+        cuts: None,
     };
 
     /// The tool touches nothing, as of `solved_at`.
@@ -101,6 +104,23 @@ impl ContactModel {
     /// The active contact points.
     pub fn touching(&self) -> impl Iterator<Item = &Touch> {
         self.touches.iter().filter(|t| t.touches)
+    }
+
+    /// Whether it holds for a tool with these buttons. A blade that began or ended a cut after the solve does not touch what
+    /// it touched there: cutting, it touches tissue with its edge only.
+    pub fn holds_for(&self, buttons: Buttons) -> bool {
+        self.cuts
+            .is_none_or(|cut| cut == buttons.contains(Buttons::PRIMARY))
+    }
+
+    /// The same model without contact.
+    #[must_use]
+    pub const fn without_contact(&self) -> Self {
+        Self {
+            touches: [Touch::NONE; CONTACTS_MAX],
+            couple: Vector3::new(0.0, 0.0, 0.0),
+            ..*self
+        }
     }
 
     /// Force on the tool at the solve, N, without friction.

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
-use palpate_device::{DeviceCaps, DeviceTime, Faults, Pose, Sample, Workspace, Wrench};
+use palpate_device::{Buttons, DeviceCaps, DeviceTime, Faults, Pose, Sample, Workspace, Wrench};
 use palpate_haptics::{CONTACTS_MAX, Chain, ChainConfig, ContactModel, Events, Tick, Touch};
 use palpate_protocol::ClientTime;
 use proptest::prelude::*;
@@ -276,6 +276,36 @@ fn faults_fade_force_and_torque_alike() {
         }
     }
     assert_eq!(given, [Wrench::ZERO; 3]);
+}
+
+#[test]
+fn the_contact_of_a_blade_ends_when_it_begins_to_cut() {
+    let mut led = Led::new(&caps(6, 1.0), |at, pose| ContactModel {
+        cuts: Some(false),
+        ..tissue(at, pose, 1, 0.0, 400.0)
+    });
+    let held = led.to(200, at(0.0, -0.005), Vector3::zeros());
+    assert!((held.wrench.force.z - 2.0).abs() < 0.05);
+    // No new model comes: the force ends by the slew limit.
+    let mut s = sample(at(0.0, -0.005), Vector3::zeros());
+    let mut last = held;
+    for pressed in [true, false] {
+        s.buttons = if pressed {
+            Buttons::PRIMARY
+        } else {
+            Buttons::NONE
+        };
+        for _ in 0..8 {
+            let tick = led.chain.tick(ms(led.t), &s, &led.model);
+            let step = (tick.wrench.force - last.wrench.force).norm();
+            assert!(step <= led.chain.slew_step_n() + 1e-9, "{step}");
+            last = tick;
+            led.t += 1;
+        }
+        // A button that bounced gives the contact back.
+        let expected = if pressed { 0.0 } else { held.wrench.force.z };
+        assert!((last.wrench.force.z - expected).abs() < 1e-6, "{last:?}");
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@ use palpate_haptics::ContactModel;
 
 /// Relative residual of a check. A third of it changes forces on the thigh by 0.5 %.
 pub(super) const TOLERANCE: f64 = 1e-2;
-pub(super) const ITERATIONS: usize = 30;
+pub(super) const ITERATIONS: usize = 100;
 
 #[derive(Debug, Clone, Default)]
 pub(super) struct Checks {

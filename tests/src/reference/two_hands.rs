@@ -26,7 +26,7 @@ const SOLVE_EVERY: i64 = 4;
 const PROGRESS_EVERY: i64 = 20;
 
 /// Maximum iterations of a solve near the tools.
-const ITERATIONS: usize = 4;
+const ITERATIONS: usize = 12;
 
 /// Residual at which a solve near the tools ends.
 const TOLERANCE: f64 = 2e-2;

@@ -67,7 +67,7 @@ mod tests {
     use std::sync::Arc;
 
     use nalgebra::{UnitQuaternion, Vector3};
-    use palpate_device::{DeviceTime, Pose, Sample};
+    use palpate_device::{Buttons, DeviceTime, Pose, Sample};
     use palpate_haptics::{Chain, ChainConfig, Tick};
     use palpate_protocol::ClientTime;
     use palpate_protocol::tool::ToolDescription;
@@ -115,6 +115,7 @@ mod tests {
                 model = replica.haptic_step(now, Some(&tool), &[], Budget::new(4, 1e-2));
             }
             let sample = Sample {
+                buttons: Buttons::PRIMARY,
                 velocity: if moved_s > 0.0 {
                     velocity
                 } else {

@@ -230,6 +230,30 @@ fn cut_fails_when_worker_has_stopped() {
 }
 
 #[test]
+fn a_contact_model_says_whether_its_blade_cuts() {
+    let mut replica = Replica::new(tissue(), true);
+    let probe = tool(1, 5.0 * CELL, 3e-3);
+    let blade = ToolAt {
+        description: ToolDescription {
+            kind: ToolKind::Scalpel,
+            length_m: 0.01,
+            ..probe.description
+        },
+        ..probe
+    };
+    let held = ToolAt {
+        buttons: 1,
+        ..blade
+    };
+    let mut model_of = |own| replica.haptic_step(ClientTime::ZERO, Some(&own), &[], thorough());
+    for (own, cuts) in [(probe, None), (blade, Some(false))] {
+        let model = model_of(own);
+        assert_eq!((model.cuts, model.in_contact()), (cuts, true), "{model:?}");
+    }
+    assert_eq!(model_of(held).cuts, Some(true));
+}
+
+#[test]
 fn energy_of_other_hands_is_tracked() {
     // A tool against 400 N/m along z: 10 mm in and out, in steps of 1 mm.
     let reaction = |depth: f64| Reaction {
