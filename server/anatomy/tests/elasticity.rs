@@ -212,6 +212,14 @@ fn nearly_incompressible_bars_converge_in_at_most_three_times_the_iterations() {
     }
 }
 
+/// Without conjugate directions two of three need more.
+#[test]
+fn bars_with_a_poisson_ratio_of_0_49_converge_in_200_iterations() {
+    for turn in orientations() {
+        iterations(0.49, &turn);
+    }
+}
+
 #[test]
 fn bars_in_series_and_parallel_follow_closed_forms() {
     let half = Vec3::from(HALF);

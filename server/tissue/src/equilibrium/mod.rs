@@ -52,6 +52,7 @@ mod chain;
 mod coarse_level;
 mod coarse_stiffening;
 mod coarsen;
+mod conjugate;
 mod construction;
 mod contact_smoother;
 mod contact_stiffness;

@@ -7,6 +7,7 @@ use super::active_set::Criteria;
 use super::budget::{Budget, StepReport, relative};
 use super::coarse_level::prolongate_changes;
 use super::coarse_stiffening::PRESCRIBED_STIFFNESS;
+use super::conjugate::Conjugate;
 use super::contact_smoother::ContactSmoother;
 use super::cut_preparer::all_own_stiffness;
 use super::cycle::{Chebyshev, Multigrid};
@@ -84,6 +85,7 @@ pub(crate) struct Solver {
     pub(super) settling: Option<usize>,
     /// Mechanisms that an ablation has switched off.
     pub(super) disabled: Disabled,
+    pub(super) conjugate: Conjugate,
 }
 
 /// Relative residual at which a step ends. Quick steps leave forces below their threshold at single nodes, but not over all
@@ -149,6 +151,7 @@ impl Solver {
             last_forces: Vec::new(),
             settling: None,
             disabled: Disabled::default(),
+            conjugate: Conjugate::default(),
         }
     }
 
@@ -336,6 +339,9 @@ impl Solver {
                 self.stiffen_levels(u);
                 outdated = false;
             }
+            if !quick {
+                self.conjugate(u);
+            }
             self.correct(u, share * allowed, quick);
             smoothing = Some(self.smooth(u, (!quick).then_some(&mut bound)));
             // The next quick step chooses the active set of a further iteration.
@@ -351,6 +357,7 @@ impl Solver {
                 outdated = true;
             }
         }
+        self.conjugate.forget();
         if quick {
             if self.report.iterations > 0 {
                 self.finish(u);
@@ -429,6 +436,7 @@ impl Solver {
             }
             fine.enter(hierarchy, coarse, u);
             fine.add_contacts(u, &self.contacts, 1.0);
+            self.conjugate.forget();
         }
         self.fine.square_over_unfixed()
     }
