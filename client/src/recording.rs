@@ -42,7 +42,7 @@ pub struct Recording {
     pub role: String,
     /// Start of the script on the monotonic clock; `None` if it did not start.
     pub script_started_us: Option<i64>,
-    /// The hand: every fourth tick of the force loop.
+    /// The hand: every fourth tick of the force loop, and each change of buttons.
     pub haptic: Vec<HapticPoint>,
     /// Displayed views.
     pub views: Vec<ViewRecord>,

@@ -120,7 +120,7 @@ impl Blend {
         &self.model
     }
 
-    /// Accepts `model`, which is usable, if it is new; returns whether it was.
+    /// Accepts `model`, which is usable, if it is new or its contact has begun or ended; returns whether it did.
     pub(crate) fn take(&mut self, model: &ContactModel, now: ClientTime, motion: &Motion) -> bool {
         let id = |m: &ContactModel| (m.topology_version, m.solved_at, m.in_contact());
         if id(model) == id(&self.model) {

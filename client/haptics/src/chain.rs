@@ -257,17 +257,19 @@ impl Chain {
         }
         let motion = Motion::of(sample);
         let was_touching = self.contact_points.grips().any();
-        if model.is_usable() {
-            let is_taken = if model.holds_for(sample.buttons) {
-                self.blend.take(model, now, &motion)
-            } else {
-                self.blend.take(&model.without_contact(), now, &motion)
-            };
-            if is_taken {
-                self.solved_at = self.in_own_time(model.solved_at, now);
-            }
+        events.set(Events::BAD_MODEL, !model.is_usable());
+        let newest = if model.is_usable() {
+            model
         } else {
-            events.set(Events::BAD_MODEL, true);
+            &self.blend.model().clone()
+        };
+        let valid = if newest.is_valid_for(sample.buttons) {
+            newest
+        } else {
+            &newest.without_contact()
+        };
+        if self.blend.take(valid, now, &motion) {
+            self.solved_at = self.in_own_time(newest.solved_at, now);
         }
         let (wrench, planes) = self.contact_points.tick(&self.blend, now, dt, &motion);
         let touches = wrench != Wrench::ZERO;

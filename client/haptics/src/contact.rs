@@ -57,8 +57,8 @@ pub struct ContactModel {
     pub force_limit_n: f64,
     /// Whether the tool is a needle in the tissue; other sites follow this state.
     pub is_inserted: bool,
-    /// For a blade, whether it cut in the solve; `None` for other tools.
-    pub cuts: Option<bool>,
+    /// Whether the blade was cutting in the solve; `None` for other tools.
+    pub was_cutting: Option<bool>,
 }
 
 impl ContactModel {
@@ -74,7 +74,7 @@ impl ContactModel {
         external_work_j: 0.0,
         force_limit_n: f64::INFINITY,
         is_inserted: false,
-        cuts: None,
+        was_cutting: None,
     };
 
     /// The tool touches nothing, as of `solved_at`.
@@ -106,19 +106,18 @@ impl ContactModel {
         self.touches.iter().filter(|t| t.touches)
     }
 
-    /// Whether it holds for a tool with these buttons. A blade that began or ended a cut after the solve does not touch what
-    /// it touched there: cutting, it touches tissue with its edge only.
-    pub fn holds_for(&self, buttons: Buttons) -> bool {
-        self.cuts
+    /// Whether the model is valid for a tool with these buttons. A pressing blade feels contact, a cutting blade only the
+    /// resistance at its edge, so a model of one state is invalid in the other.
+    pub(crate) fn is_valid_for(&self, buttons: Buttons) -> bool {
+        self.was_cutting
             .is_none_or(|cut| cut == buttons.contains(Buttons::PRIMARY))
     }
 
     /// The same model without contact.
-    #[must_use]
-    pub const fn without_contact(&self) -> Self {
+    pub(crate) fn without_contact(&self) -> Self {
         Self {
-            touches: [Touch::NONE; CONTACTS_MAX],
-            couple: Vector3::new(0.0, 0.0, 0.0),
+            touches: Self::FREE.touches,
+            couple: Self::FREE.couple,
             ..*self
         }
     }

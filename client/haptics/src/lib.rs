@@ -12,7 +12,8 @@
 //! The order of the stages, one file each:
 //!
 //! ```text
-//! not-a-number check -> contact model, blended (blend, contact_law) with slopes that hand and device can follow (coupling)
+//! not-a-number check -> contact model, without contact if a blade has begun or ended a cut since (chain)
+//!   -> blended (blend, contact_law) with slopes that hand and device can follow (coupling)
 //!   -> stick-slip friction of every contact point (friction), summed to a wrench about the pivot (contact_points)
 //!   -> clamp to the device's continuous force and its torque -> soft start x watchdog -> passivity -> slew limit
 //! ```

@@ -2,13 +2,15 @@
 
 use crate::recording::HapticPoint;
 
-/// Every n-th tick of a run, in preallocated memory.
+/// Every n-th tick of a run and each change of buttons, in preallocated memory. A replayed blade then cuts from the same tick
+/// on.
 #[derive(Debug, Clone, Default)]
 pub struct Trace {
     points: Vec<HapticPoint>,
     capacity: usize,
     every: u32,
     skipped: u32,
+    buttons: u32,
     lost: u64,
 }
 
@@ -21,20 +23,22 @@ impl Trace {
             capacity,
             every,
             skipped: 0,
+            buttons: 0,
             lost: 0,
         }
     }
 
-    /// Records every n-th `point` while there is room. Never allocates.
+    /// Records every n-th `point`, and those with other buttons than before, while there is room. Never allocates.
     pub(super) fn record(&mut self, point: HapticPoint) {
         if self.every == 0 {
             return;
         }
-        if self.skipped > 0 {
-            self.skipped -= 1;
+        let is_changed = std::mem::replace(&mut self.buttons, point.buttons) != point.buttons;
+        let is_due = self.skipped == 0;
+        self.skipped = if is_due { self.every } else { self.skipped } - 1;
+        if !is_due && !is_changed {
             return;
         }
-        self.skipped = self.every - 1;
         if self.points.len() < self.capacity {
             self.points.push(point);
         } else {
@@ -71,5 +75,18 @@ mod tests {
         assert_eq!(trace.points()[9].t_us, 36);
         assert_eq!(trace.lost(), 15);
         assert_eq!(trace.points.capacity(), 10);
+    }
+
+    #[test]
+    fn changes_of_buttons_are_recorded_between() {
+        let mut trace = Trace::new(4, 10);
+        for i in 0..10 {
+            let held = (5..7).contains(&i);
+            let buttons = Buttons::from_bits(held.into());
+            let (pose, force) = (Pose::default(), Vector3::zeros());
+            trace.record(HapticPoint::new(i, &pose, buttons, force));
+        }
+        let times: Vec<i64> = trace.points().iter().map(|p| p.t_us).collect();
+        assert_eq!(times, [0, 4, 5, 7, 8]);
     }
 }

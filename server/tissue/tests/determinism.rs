@@ -11,11 +11,11 @@ use strokes::random_stroke::{pieces, random_stroke};
 
 /// Hash of a press into a block of 14 thousand cells with a volume term and stiffening springs. It changes only
 /// with the force law or the solver, and then on every machine.
-const GOLDEN: u64 = 0xa7b6_1e65_7501_c307;
+const GOLDEN: u64 = 0xf07f_ad23_5c6e_5ab8;
 
 /// Hashes of the topology after random strokes in parts, an undo and a redo, and of the shape under a ball. They change
 /// only with the rules of cuts or the solver.
-const GOLDEN_CUT: [u64; 2] = [0xe3f4_8adb_c521_15b6, 0x6da5_9e12_1ae7_d7a8];
+const GOLDEN_CUT: [u64; 2] = [0xe3f4_8adb_c521_15b6, 0xa0e7_e0e6_2b87_f3cb];
 
 fn press(threads: usize) -> u64 {
     let material = Material {

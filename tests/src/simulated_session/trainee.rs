@@ -110,8 +110,10 @@ impl Trainee {
         };
         let turned = self.hand.turn(now, loop_commands, &self.contact);
         let frame = turned.frame;
-        if self.ticks.is_multiple_of(HAPTIC_EVERY) {
-            let (pose, buttons) = (&frame.sample.pose, frame.sample.buttons);
+        let (pose, buttons) = (&frame.sample.pose, frame.sample.buttons);
+        let held = self.recording.haptic.last().map(|p| p.buttons);
+        let is_changed = held.is_some_and(|held| held != buttons.bits());
+        if self.ticks.is_multiple_of(HAPTIC_EVERY) || is_changed {
             let point = HapticPoint::new(at_us, pose, buttons, frame.wrench.force);
             self.recording.haptic.push(point);
         }

@@ -337,7 +337,7 @@ impl Replica {
         let version = self.topology().version();
         let free = ContactModel {
             is_inserted: own.is_some_and(ToolAt::is_inserted),
-            cuts: own.and_then(ToolAt::cuts),
+            was_cutting: own.and_then(ToolAt::blade_cuts),
             ..ContactModel::free_at(now, version)
         };
         let Some(tissue) = self.haptic.tissue_mut() else {
@@ -371,7 +371,7 @@ impl Replica {
         }
         ContactModel {
             external_work_j: self.others.work_j,
-            cuts: free.cuts,
+            was_cutting: free.was_cutting,
             ..model
         }
     }

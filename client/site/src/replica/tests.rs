@@ -230,7 +230,7 @@ fn cut_fails_when_worker_has_stopped() {
 }
 
 #[test]
-fn a_contact_model_says_whether_its_blade_cuts() {
+fn contact_model_reports_whether_its_blade_cuts() {
     let mut replica = Replica::new(tissue(), true);
     let probe = tool(1, 5.0 * CELL, 3e-3);
     let blade = ToolAt {
@@ -241,16 +241,20 @@ fn a_contact_model_says_whether_its_blade_cuts() {
         },
         ..probe
     };
-    let held = ToolAt {
+    let cutting = ToolAt {
         buttons: 1,
         ..blade
     };
     let mut model_of = |own| replica.haptic_step(ClientTime::ZERO, Some(&own), &[], thorough());
     for (own, cuts) in [(probe, None), (blade, Some(false))] {
         let model = model_of(own);
-        assert_eq!((model.cuts, model.in_contact()), (cuts, true), "{model:?}");
+        assert_eq!(
+            (model.was_cutting, model.in_contact()),
+            (cuts, true),
+            "{model:?}"
+        );
     }
-    assert_eq!(model_of(held).cuts, Some(true));
+    assert_eq!(model_of(cutting).was_cutting, Some(true));
 }
 
 #[test]

@@ -83,13 +83,13 @@ impl ToolAt {
     }
 
     /// For a blade, whether it cuts: its main button is held. `None` for other tools.
-    pub(crate) fn cuts(&self) -> Option<bool> {
+    pub(crate) fn blade_cuts(&self) -> Option<bool> {
         (self.description.kind == ToolKind::Scalpel).then_some(self.buttons & 1 == 1)
     }
 
     /// Whether it is a cutting blade.
     pub fn is_cutting(&self) -> bool {
-        self.cuts() == Some(true)
+        self.blade_cuts() == Some(true)
     }
 
     /// The pose for which the tissue is solved. A needle is not predicted: its channel keeps the farthest place that it reached.

@@ -1,178 +1,167 @@
-//! Conjugate directions around the iterations of a full solve.
+//! Krylov acceleration of full solves (Washio and Oosterlee 1997): conjugate directions, with the multigrid iteration as the
+//! preconditioner.
 //!
-//! Where a stiff layer lies on soft tissue, the coarse levels resist its bending too much, and an iteration leaves most of that
-//! error. Therefore the energy is then minimised over the moves z of the iteration and the direction s before it (locally
-//! optimal conjugate gradients, Knyazev 2001):
+//! Coarse operators are too stiff in bending where a stiff layer lies on soft tissue: an iteration leaves 87 to 91 % of that
+//! error. Before the next iteration the energy is therefore minimised over two directions, as in locally optimal conjugate
+//! gradients (Knyazev 2001): z, the increment of the last iteration, and s, the whole increment of the one before it. With
+//! the tangent stiffness K and the residual r after the last iteration:
 //!
 //! ```text
-//! zᵀKz a + zᵀKs b = zᵀr,    sᵀKz a + sᵀKs b = sᵀr,    u ← u + t (a z + b s)
+//! zᵀKz a + zᵀKs b = zᵀr,    zᵀKs a + sᵀKs b = sᵀr,    d = a z + b s,    u ← u + t d,    s ← z + t d
 //! ```
 //!
-//! Kz is the change of the brick forces over the iteration, so no force is evaluated for it. Contacts add their present
-//! stiffness, and a line search for t takes them exactly. A new active set starts again, because its deferred forces change
-//! without a move.
+//! Kz is the decrease of the brick forces over the iteration (a secant). Contacts enter a and b with their current stiffness.
+//! The line search for t evaluates contact forces exactly and interpolates brick forces between both ends of the step, as for
+//! a coarse correction. Ties of a needle enter by groups of three nodes, which may underestimate their curvature threefold;
+//! the line search bounds the effect. A change of the active set discards both directions, because nodal forces then change
+//! without a displacement.
 //!
-//! Quick steps do without: they make few iterations with one set, and deep presses diverged.
+//! Quick steps omit it: most of their error is that of deferred elements.
 
 use super::fine_level::FineLevel;
-use super::quad::{Quad, plus};
+use super::quad::{Quad, plus, work};
 use super::solver::Solver;
 use crate::Vec3;
 
-/// Bounds of t.
-const SHARES: [f64; 2] = [0.0, 1.0];
-/// Determinant, relative to the product of the diagonal, below which z and s count as parallel.
-const PARALLEL: f64 = 1e-6;
+/// Bounds of the step length t. Beyond 1 neither brick forces nor the model of the energy are known.
+const STEP_LENGTHS: [f64; 2] = [0.0, 1.0];
+/// Determinant, relative to the product of the diagonal, below which z and s count as linearly dependent: Kz has the digits
+/// of f32.
+const DEPENDENT_BELOW: f64 = 1e-6;
 
-/// The last iteration over the present active set. All lists follow the order of the set's nodes.
+/// State of the last iteration, in the order of the active nodes.
 #[derive(Default)]
-pub(super) struct Conjugate {
+pub(super) struct ConjugateDirections {
     /// Displacement and brick force at the start of the iteration.
     start: Vec<(Vec3, Quad)>,
     /// s and Ks.
-    along: Vec<Move>,
+    previous: Vec<Increment>,
 }
 
-/// Displacement of a node in m, and the brick force that it takes away in N.
+/// Displacement increment of a node in m, and the decrease of its brick force in N.
 #[derive(Default, Clone, Copy)]
-struct Move {
+struct Increment {
     by: Vec3,
     force: Quad,
 }
 
-/// Sums over both directions: zᵀKz, zᵀKs and sᵀKs in N m, zᵀr and sᵀr in N m.
-#[derive(Default)]
-struct Sums {
-    curvature: [f64; 3],
-    work: [f64; 2],
+impl Increment {
+    /// `a` times this plus `b` times `other`.
+    fn combine(&self, a: f64, other: &Self, b: f64) -> Self {
+        Self {
+            by: self.by * a + other.by * b,
+            force: plus(&self.force.map(|f| a as f32 * f), b as f32, &other.force),
+        }
+    }
 }
 
-impl Conjugate {
-    /// Starts again: forces have changed without a move.
-    pub(super) fn forget(&mut self) {
-        *self = Self::default();
-    }
-
-    /// z and Kz. Nodes on the rim of the set follow the coarse levels, and their forces are only half known.
-    fn last_moves(&self, fine: &FineLevel, u: &[Vec3]) -> Vec<Move> {
+impl ConjugateDirections {
+    /// z and Kz. Nodes on the rim count as unmoved: they follow the coarse levels, and some of their bricks are inactive.
+    fn last_increment(&self, fine: &FineLevel, u: &[Vec3]) -> Vec<Increment> {
         let nodes = fine.nodes.items.iter().map(|&node| node as usize);
-        let moved = nodes.zip(&self.start).map(|(n, (from, force))| {
-            if fine.free[n] && !fine.fixed[n] {
-                Move {
+        let increment = nodes.zip(&self.start).map(|(n, (from, force))| {
+            if fine.free[n] {
+                Increment {
                     by: u[n] - from,
                     force: plus(force, -1.0, &fine.r[n]),
                 }
             } else {
-                Move::default()
+                Increment::default()
             }
         });
-        moved.collect()
+        increment.collect()
     }
 }
 
-impl Sums {
-    /// The coefficients a and b.
-    fn minimum(&self) -> [f64; 2] {
-        let [zz, zs, ss] = self.curvature;
-        let [z, s] = self.work;
-        let determinant = zz * ss - zs * zs;
-        if zz > 0.0 && ss > 0.0 && determinant > PARALLEL * zz * ss {
-            [
-                (z * ss - s * zs) / determinant,
-                (s * zz - z * zs) / determinant,
-            ]
-        } else if zz > 0.0 {
-            [z / zz, 0.0]
-        } else {
-            [0.0; 2]
-        }
+/// The coefficients a and b, from zᵀKz, zᵀKs, sᵀKs, zᵀr and sᵀr.
+fn minimum([zz, zs, ss, zr, sr]: [f64; 5]) -> [f64; 2] {
+    let determinant = zz * ss - zs * zs;
+    if zz > 0.0 && determinant > DEPENDENT_BELOW * zz * ss {
+        [
+            (zr * ss - sr * zs) / determinant,
+            (sr * zz - zr * zs) / determinant,
+        ]
+    } else if zz > 0.0 {
+        [zr / zz, 0.0]
+    } else {
+        [0.0; 2]
     }
-}
-
-fn work(force: &Quad, by: &Vec3) -> f64 {
-    (0..3).map(|a| f64::from(force[a]) * by[a]).sum()
 }
 
 impl Solver {
-    /// Stage: minimises the energy over the last iteration and the direction before it, and starts the next iteration.
+    /// Stage: minimises the energy over z and s, then records the start of the next iteration.
     pub(super) fn conjugate(&mut self, u: &mut [Vec3]) {
-        let mut conjugate = std::mem::take(&mut self.conjugate);
         self.fine.add_contacts(u, &self.contacts, -1.0);
-        if !conjugate.start.is_empty() {
-            let z = conjugate.last_moves(&self.fine, u);
-            if conjugate.along.is_empty() {
-                conjugate.along = vec![Move::default(); z.len()];
-            }
-            let s = &conjugate.along;
-            let [a, b] = self.sums(u, &z, s).minimum();
-            let mix = |z: &Move, s: &Move, a: f64, b: f64| Move {
-                by: z.by * a + s.by * b,
-                force: plus(&z.force.map(|f| a as f32 * f), b as f32, &s.force),
-            };
-            let direction: Vec<Move> = z.iter().zip(s).map(|(z, s)| mix(z, s, a, b)).collect();
-            let t = self.move_along(u, &direction);
-            let both = z.iter().zip(&direction);
-            conjugate.along = both.map(|(z, d)| mix(z, d, 1.0, t)).collect();
+        if !self.conjugate.start.is_empty() {
+            let z = self.conjugate.last_increment(&self.fine, u);
+            let previous = &mut self.conjugate.previous;
+            previous.resize(z.len(), Increment::default());
+            let s = &self.conjugate.previous;
+            let [a, b] = minimum(self.products(u, &z, s));
+            let mut step: Vec<_> = z.iter().zip(s).map(|(z, s)| z.combine(a, s, b)).collect();
+            let t = self.move_along(u, &mut step);
+            let both = z.iter().zip(&step);
+            self.conjugate.previous = both.map(|(z, d)| z.combine(1.0, d, t)).collect();
         }
         let nodes = self.fine.nodes.items.iter().map(|&node| node as usize);
-        conjugate.start = nodes.map(|n| (u[n], self.fine.r[n])).collect();
+        self.conjugate.start = nodes.map(|n| (u[n], self.fine.r[n])).collect();
         self.fine.add_contacts(u, &self.contacts, 1.0);
-        self.conjugate = conjugate;
     }
 
-    /// The sums over z and s at brick forces `r`.
-    fn sums(&self, u: &[Vec3], z: &[Move], s: &[Move]) -> Sums {
+    /// zᵀKz, zᵀKs, sᵀKs, zᵀr and sᵀr in N m, with contacts.
+    fn products(&self, u: &[Vec3], z: &[Increment], s: &[Increment]) -> [f64; 5] {
         let nodes = &self.fine.nodes.items;
-        let mut sums = Sums::default();
+        let mut sums = [0.0; 5];
+        let mut add = |terms: [f64; 5]| {
+            for (sum, term) in sums.iter_mut().zip(terms) {
+                *sum += term;
+            }
+        };
         for ((&node, z), s) in nodes.iter().zip(z).zip(s) {
             let r = &self.fine.r[node as usize];
-            let [zz, zs, ss] = &mut sums.curvature;
-            *zz += work(&z.force, &z.by);
-            *zs += 0.5 * (work(&s.force, &z.by) + work(&z.force, &s.by));
-            *ss += work(&s.force, &s.by);
-            sums.work[0] += work(r, &z.by);
-            sums.work[1] += work(r, &s.by);
+            // Secants are not symmetric in their two directions.
+            let zs = 0.5 * (work(&s.force, &z.by) + work(&z.force, &s.by));
+            let [zz, ss] = [z, s].map(|v| work(&v.force, &v.by));
+            add([zz, zs, ss, work(r, &z.by), work(r, &s.by)]);
         }
-        let of = |moves: &[Move], node: u32| {
-            let place = nodes.binary_search(&node);
-            place.map_or_else(|_| Vec3::zeros(), |i| moves[i].by)
+        let of = |increments: &[Increment], node: u32| {
+            let found = nodes.binary_search(&node);
+            found.map_or_else(|_| Vec3::zeros(), |i| increments[i].by)
         };
-        self.contacts
-            .pressed(u, |sample, force, stiffness, direction| {
-                let (mut by_z, mut by_s) = (Vec3::zeros(), Vec3::zeros());
-                for (&node, w) in sample.nodes.iter().zip(sample.weights) {
-                    by_z += of(z, node) * w;
-                    by_s += of(s, node) * w;
-                }
-                let (along_z, along_s) = (direction.dot(&by_z), direction.dot(&by_s));
-                let products = [along_z * along_z, along_z * along_s, along_s * along_s];
-                for (sum, product) in sums.curvature.iter_mut().zip(products) {
-                    *sum += stiffness * product;
-                }
-                sums.work[0] += force.dot(&by_z);
-                sums.work[1] += force.dot(&by_s);
+        self.contacts.pressed(u, |sample, force, k, normal| {
+            let [z, s] = [z, s].map(|increments| {
+                let weighted = sample.nodes.iter().zip(sample.weights);
+                let each = weighted.map(|(&node, w)| of(increments, node) * w);
+                each.sum::<Vec3>()
             });
+            let (nz, ns) = (normal.dot(&z), normal.dot(&s));
+            let stiff = [k * nz * nz, k * nz * ns, k * ns * ns];
+            add([stiff[0], stiff[1], stiff[2], force.dot(&z), force.dot(&s)]);
+        });
         sums
     }
 
-    /// Moves the nodes along `direction` to the minimum of the energy; returns the step length. Brick forces follow
-    /// linearly.
-    fn move_along(&mut self, u: &mut [Vec3], direction: &[Move]) -> f64 {
-        let nodes = std::mem::take(&mut self.fine.nodes.items);
-        let (mut moved, mut before) = (Vec::new(), Vec::new());
-        for (&node, step) in nodes.iter().zip(direction) {
-            let r = &mut self.fine.r[node as usize];
-            moved.push((node, step.by));
-            before.push(*r);
-            *r = plus(r, -1.0, &step.force);
-            self.fine.shift(u, node, step.by);
+    /// Moves the nodes along `step` to the minimum of the energy, and sets its decrease of the brick forces; returns the step
+    /// length.
+    fn move_along(&mut self, u: &mut [Vec3], step: &mut [Increment]) -> f64 {
+        let nodes = self.fine.nodes.items.iter();
+        let moved: Vec<_> = nodes.zip(&*step).map(|(&n, step)| (n, step.by)).collect();
+        let before: Vec<Quad> = moved.iter().map(|m| self.fine.r[m.0 as usize]).collect();
+        let displaced = self.fine.displaced;
+        self.fine.add_increments(u, &moved, 1.0);
+        self.fine.evaluate_bricks(&self.hierarchy, u);
+        let t = self
+            .line_search(u, &moved, &before, [0.0; 2], STEP_LENGTHS)
+            .0;
+        for (((node, _), before), step) in moved.iter().zip(&before).zip(step) {
+            let r = &mut self.fine.r[*node as usize];
+            step.force = plus(before, -1.0, r);
+            *r = plus(before, -t as f32, &step.force);
         }
-        let t = self.line_search(u, &moved, &before, [0.0; 2], SHARES).0;
-        for ((&node, step), before) in nodes.iter().zip(direction).zip(&before) {
-            self.fine.r[node as usize] = plus(before, -t as f32, &step.force);
-            self.fine.shift(u, node, step.by * (t - 1.0));
-        }
-        self.fine.nodes.items = nodes;
+        // A step that the line search shortens must not widen the search for contacts.
+        self.fine.add_increments(u, &moved, -1.0);
+        self.fine.displaced = displaced;
+        self.fine.add_increments(u, &moved, t);
         t
     }
 }

@@ -14,6 +14,7 @@
 //! | `jacobi_blocks`, `smoothing`, `contact_smoother` | block Jacobi preconditioner, Chebyshev steps on nodes and at contacts |
 //! | `budget`, `work_limit` | limits and report of a step; bound on active nodes |
 //! | `reference_state`, `weight` | equilibrium without tools; gravity |
+//! | `conjugate` | Krylov acceleration of full solves |
 //! | `warm_start` | extrapolation of the last step under tools |
 //! | `rigid_aggregation` | line search; rigid groups in the warm start |
 //! | `mechanism` | mechanisms that an ablation can switch off |
@@ -24,7 +25,7 @@
 //!
 //! A step gathers contacts and applies the warm start. Each iteration then chooses the active set, computes its forces,
 //! corrects by a V-cycle with line search, and smooths with block Jacobi Chebyshev steps; proxies move on before the next
-//! one. Coarse operators belong to the rest state, except where tissue has hardened. The order of operations is fixed and no
+//! one. In full solves the energy is minimised over the last two increments before each correction. Coarse operators belong to the rest state, except where tissue has hardened. The order of operations is fixed and no
 //! clock is read: equal steps give equal bits, for any number of threads and any vector width.
 //!
 //! # Performance
@@ -38,7 +39,7 @@
 //!
 //! Coarse operators follow hardening but not rotation. Tissue without `bottoms_out` folds from 30 % of a layer's thickness
 //! on. Tissue of springs alone that is pressed flat on bone has several states: a held tool feels 4 % of scatter (8 mm of
-//! tissue, 7.8 mm deep). A Poisson's ratio of 0.45 takes twice the iterations of springs alone, 0.49 twenty times. A point
+//! tissue, 7.8 mm deep). A Poisson's ratio of 0.45 takes twice the iterations of springs alone, 0.49 ten times. A point
 //! tool (radius below half a spacing) feels the corners of the mesh, and slips between the samples of a soft surface when
 //! it is pressed deeper than its own radius.
 

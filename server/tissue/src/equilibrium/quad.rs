@@ -2,10 +2,18 @@
 //!
 //! Corrections need few digits, so the coarse levels run in single precision; accumulated totals are in f64.
 
+use crate::Vec3;
+
 /// Three numbers and a lane that stays zero.
 pub(crate) type Quad = [f32; 4];
 
 pub(crate) const ZERO: Quad = [0.0; 4];
+
+/// Work of a force in N along a displacement in m, in N m.
+#[inline(always)]
+pub(crate) fn work(force: &Quad, by: &Vec3) -> f64 {
+    (0..3).map(|a| f64::from(force[a]) * by[a]).sum()
+}
 
 /// `a + w b` in all four lanes at once. Scalar lane writes followed by a vector read would stall on store forwarding.
 #[inline(always)]

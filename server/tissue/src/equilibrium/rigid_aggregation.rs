@@ -12,7 +12,7 @@ use super::brick::LOCALS;
 use super::fine_level::FineLevel;
 use super::hierarchy::Hierarchy;
 use super::mechanism::Mechanism;
-use super::quad::{Quad, ZERO};
+use super::quad::{Quad, ZERO, work};
 use super::solver::Solver;
 use crate::Vec3;
 use crate::contact::LineSearch;
@@ -65,9 +65,9 @@ impl Solver {
         if !self.uses(Mechanism::CoreGuard) {
             along.ignore_cores();
         }
-        let here = deferred[0] + work(increments, |i, _| &before[i]);
+        let here = deferred[0] + work_along(increments, |i, _| &before[i]);
         let r = &self.fine.r;
-        let there = deferred[1] + work(increments, |_, node| &r[node as usize]);
+        let there = deferred[1] + work_along(increments, |_, node| &r[node as usize]);
         if !self.uses(Mechanism::ContactLineSearch) {
             let contacts = [0.0, 1.0].map(|s| along.work(s));
             let work = [here + contacts[0], there + contacts[1]];
@@ -82,12 +82,9 @@ impl Solver {
 }
 
 /// Work along increments in N m; `of` returns the force by position and node.
-fn work<'a>(increments: &[(u32, Vec3)], of: impl Fn(usize, u32) -> &'a Quad) -> f64 {
-    let one = |(i, (node, by)): (usize, &(u32, Vec3))| {
-        let force = of(i, *node);
-        (0..3).map(|a| f64::from(force[a]) * by[a]).sum::<f64>()
-    };
-    increments.iter().enumerate().map(one).sum()
+fn work_along<'a>(increments: &[(u32, Vec3)], of: impl Fn(usize, u32) -> &'a Quad) -> f64 {
+    let all = increments.iter().enumerate();
+    all.map(|(i, (node, by))| work(of(i, *node), by)).sum()
 }
 
 impl FineLevel {

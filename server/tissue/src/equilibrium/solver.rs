@@ -7,7 +7,7 @@ use super::active_set::Criteria;
 use super::budget::{Budget, StepReport, relative};
 use super::coarse_level::prolongate_changes;
 use super::coarse_stiffening::PRESCRIBED_STIFFNESS;
-use super::conjugate::Conjugate;
+use super::conjugate::ConjugateDirections;
 use super::contact_smoother::ContactSmoother;
 use super::cut_preparer::all_own_stiffness;
 use super::cycle::{Chebyshev, Multigrid};
@@ -85,7 +85,8 @@ pub(crate) struct Solver {
     pub(super) settling: Option<usize>,
     /// Mechanisms that an ablation has switched off.
     pub(super) disabled: Disabled,
-    pub(super) conjugate: Conjugate,
+    /// Conjugate directions of a full solve.
+    pub(super) conjugate: ConjugateDirections,
 }
 
 /// Relative residual at which a step ends. Quick steps leave forces below their threshold at single nodes, but not over all
@@ -151,7 +152,7 @@ impl Solver {
             last_forces: Vec::new(),
             settling: None,
             disabled: Disabled::default(),
-            conjugate: Conjugate::default(),
+            conjugate: ConjugateDirections::default(),
         }
     }
 
@@ -357,7 +358,7 @@ impl Solver {
                 outdated = true;
             }
         }
-        self.conjugate.forget();
+        self.conjugate = ConjugateDirections::default();
         if quick {
             if self.report.iterations > 0 {
                 self.finish(u);
@@ -436,7 +437,7 @@ impl Solver {
             }
             fine.enter(hierarchy, coarse, u);
             fine.add_contacts(u, &self.contacts, 1.0);
-            self.conjugate.forget();
+            self.conjugate = ConjugateDirections::default();
         }
         self.fine.square_over_unfixed()
     }
