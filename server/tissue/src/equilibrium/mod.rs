@@ -25,8 +25,9 @@
 //!
 //! A step gathers contacts and applies the warm start. Each iteration then chooses the active set, computes its forces,
 //! corrects by a V-cycle with line search, and smooths with block Jacobi Chebyshev steps; proxies move on before the next
-//! one. In full solves the energy is minimised over the last two increments before each correction. Coarse operators belong to the rest state, except where tissue has hardened. The order of operations is fixed and no
-//! clock is read: equal steps give equal bits, for any number of threads and any vector width.
+//! one. In full solves the energy is minimised over the last two increments before each correction. Coarse operators belong
+//! to the rest state, except where tissue has hardened. The order of operations is fixed and no clock is read: equal steps
+//! give equal bits, for any number of threads and any vector width.
 //!
 //! # Performance
 //!
