@@ -6,7 +6,8 @@
 //! n(t)    t - (moment of the newest sample here)
 //! level   n without its peaks: the morphological opening of n by LEVEL_WINDOW
 //! q       the SHARE quantile over time of n - level, with the forgetting factor exp(-dt / MEMORY)
-//! step    n was above level + q for all of STEP_WINDOW: its minimum there is the level, and q at most BRIDGE
+//! step    n was above level + q for all of STEP_WINDOW and STEP_PACKETS: its minimum there is the level, and q at most
+//!         BRIDGE
 //! stall   n exceeds the cap: it enters no quantile, and D* is held
 //! D*      level + q, less what the timeline extrapolates well (`bridge`)
 //! ```
@@ -34,8 +35,11 @@ const MEMORY: Span = Span::from_millis(30_000);
 /// A longer rise is the new level of the path, not a burst.
 const LEVEL_WINDOW: Span = Span::from_millis(1200);
 
-/// A step is a rise of all packets within this time: at 250 Hz four, so that no single late one is a step.
+/// A step is a rise of all packets within this time: at 250 Hz four.
 const STEP_WINDOW: Span = Span::from_millis(14);
+
+/// A step is a rise of at least this many packets: the window may hold a single one after a pause of its sender.
+const STEP_PACKETS: usize = 4;
 
 /// The quantile of a path without jitter is a packet interval; jitter is beyond it.
 const PACKET: Span = Span::from_millis(4);
@@ -251,10 +255,11 @@ impl Requirement {
 
     /// Renews D*; returns whether a step must be reported at once.
     fn follow(&mut self, now: ServerTime, age_us: i64) -> bool {
+        // Each interval begins with the age of the packet before.
         let least_us = |window: Span| {
-            let recent = self.intervals.iter().rev();
-            let recent = recent.take_while(|i| now - i.until < window);
-            recent.map(|i| i.from_us).fold(age_us, i64::min)
+            let recent = self.intervals.iter().rev().zip(2..);
+            let recent = recent.take_while(|(i, n)| *n <= STEP_PACKETS || now - i.until < window);
+            recent.map(|(i, _)| i.from_us).fold(age_us, i64::min)
         };
         let (level_us, step_us) = (least_us(LEVEL_WINDOW), least_us(STEP_WINDOW));
         // Peaks beyond the cap are not bridged; a level beyond it is.

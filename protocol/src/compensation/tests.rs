@@ -351,6 +351,28 @@ fn sender_lateness_does_not_count_as_network_delay() {
 }
 
 #[test]
+fn few_late_packets_after_pauses_are_no_step() {
+    let mut estimator = DelayEstimator::default();
+    let mut t = 0;
+    let mut delays_after = |late: i64| {
+        for i in 0..300 {
+            // The last packets come 15 ms apart, each 12 ms older than usual.
+            let is_late = i >= 300 - late;
+            t += if is_late { 15_000 } else { 4000 };
+            let age_us = if is_late { 14_000 } else { 2000 };
+            let motion = MotionArrival::on_time(at(t - age_us), at(t));
+            estimator.handle_arrival(motion);
+        }
+        (estimator.take_urgent(), estimator.wanted().unwrap())
+    };
+    for late in 1..4 {
+        assert_eq!(delays_after(late), (false, Span::ZERO), "{late}");
+    }
+    let (is_step, wanted) = delays_after(4);
+    assert!(is_step && wanted > Span::ZERO, "{wanted:?}");
+}
+
+#[test]
 fn prediction_stays_within_the_measured_path_and_covers_the_uplink() {
     let lead = Span::from_millis(100);
     let report = |wanted_us| DelayReport {
