@@ -150,9 +150,7 @@ impl Solver {
         let displaced = self.fine.displaced;
         self.fine.add_increments(u, &moved, 1.0);
         self.fine.evaluate_bricks(&self.hierarchy, u);
-        let t = self
-            .line_search(u, &moved, &before, [0.0; 2], STEP_LENGTHS)
-            .0;
+        let t = self.line_search(u, &moved, &before, [0.0; 2], STEP_LENGTHS);
         for (((node, _), before), step) in moved.iter().zip(&before).zip(step) {
             let r = &mut self.fine.r[*node as usize];
             step.force = plus(before, -1.0, r);

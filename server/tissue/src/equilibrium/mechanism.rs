@@ -42,8 +42,6 @@ mechanisms! {
     CoreGuard "core-guard",
     /// A retreating tool searches as far as tissue may be behind it.
     RetreatSearch "retreat-search",
-    /// Rigid groups of stiff bricks if the warm start accepts less than half of its bound.
-    RigidAggregation "rigid-aggregation",
     /// Contact stiffness on the coarse levels.
     ContactStiffness "contact-stiffness",
     /// Coarse levels follow hardened tissue.

@@ -16,7 +16,7 @@
 //! | `reference_state`, `weight` | equilibrium without tools; gravity |
 //! | `conjugate` | Krylov acceleration of full solves |
 //! | `warm_start` | extrapolation of the last step under tools |
-//! | `rigid_aggregation` | line search; rigid groups in the warm start |
+//! | `step_length` | line search |
 //! | `mechanism` | mechanisms that an ablation can switch off |
 //! | `prescribed` | nodes with a prescribed displacement |
 //! | `cut_preparer`, `hierarchy_change`, `construction`, `recoarsen`, `follow_cut` | local update after a cut |
@@ -88,13 +88,13 @@ mod quad;
 mod recoarsen;
 mod reference_state;
 mod reversal;
-mod rigid_aggregation;
 mod secant_stiffness;
 mod settling;
 mod sizes;
 mod smoothing;
 mod solver;
 mod stabilisation;
+mod step_length;
 mod volume;
 mod warm_start;
 mod weight;

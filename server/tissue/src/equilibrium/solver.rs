@@ -535,7 +535,7 @@ impl Solver {
             self.deferred_work()
         };
         let (moved, old) = (&self.fine.moved, &self.fine.old);
-        let (share, _) = self.line_search(u, moved, old, waiting, SHARES);
+        let share = self.line_search(u, moved, old, waiting, SHARES);
         let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
         coarse.commit(hierarchy, share as f32, threshold as f32);
         fine.settle(hierarchy, coarse, u, share);

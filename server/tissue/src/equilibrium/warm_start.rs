@@ -23,7 +23,7 @@ impl Solver {
         let pace = self.contacts.pace();
         if pace > 0.0 && !last.is_empty() {
             // Only the increment near the contacts is extrapolated: the rest costs more than it gains.
-            let share = self.increment_line_search(u, &mut last, pace);
+            let share = self.increment_line_search(u, &last, pace);
             self.extrapolate(u, &last, share);
             // Before a further iteration contacts are gathered again if a tool lags, which updates their nodes.
             self.fine.mark_applied(&self.hierarchy, &self.coarse);
@@ -33,12 +33,7 @@ impl Solver {
     }
 
     /// Line search for the extrapolation factor, up to `most`: the work along the increment vanishes there.
-    fn increment_line_search(
-        &mut self,
-        u: &mut [Vec3],
-        last: &mut [(u32, Vec3)],
-        most: f64,
-    ) -> f64 {
+    fn increment_line_search(&mut self, u: &mut [Vec3], last: &[(u32, Vec3)], most: f64) -> f64 {
         self.fine.refresh(&self.hierarchy, u);
         self.fine.evaluate_bricks(&self.hierarchy, u);
         self.fine.keep_forces();
@@ -49,7 +44,7 @@ impl Solver {
         let before: Vec<_> = last.iter().map(|m| r[m.0 as usize]).collect();
         self.fine.add_increments(u, last, 1.0);
         self.fine.evaluate_bricks(&self.hierarchy, u);
-        let share = self.line_search_with_rigid_groups(u, last, &before, waiting, [0.0, most]);
+        let share = self.line_search(u, last, &before, waiting, [0.0, most]);
         self.fine.add_increments(u, last, -1.0);
         share
     }
