@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::time::sleep;
+use tokio::time::{sleep, timeout};
 
 use super::{AGAIN, Target};
 use crate::attack::raw_client::{RawClient, hello};
@@ -29,6 +29,13 @@ const FALSE_NAMES: [&str; 7] = [
 /// Time between two names.
 const NAME_EVERY: Duration = Duration::from_millis(200);
 
+/// Time between two heartbeats of the honest participant, also while an imitator waits for its answer: the seat of a silent
+/// participant who has not moved gives way.
+const HEARTBEAT_EVERY: Duration = Duration::from_millis(200);
+
+/// The count of honest participants whom the server disconnected.
+pub(super) const ENDED: &str = "honest connection ended by the server";
+
 /// The count of false names that the server accepted.
 pub(super) const ACCEPTED: &str = "false names accepted";
 
@@ -42,7 +49,11 @@ pub(super) async fn names(target: Arc<Target>) {
         }
     };
     for name in FALSE_NAMES {
-        let joined = RawClient::join(link, hello(link, name.to_owned(), None)).await;
+        let joins = RawClient::join(link, hello(link, name.to_owned(), None));
+        let joined = tokio::select! {
+            joined = joins => joined,
+            () = stay(&mut honest) => return target.count(ENDED),
+        };
         target.count(match &joined {
             Ok(_) => ACCEPTED,
             Err(_) => "false names refused",
@@ -50,15 +61,21 @@ pub(super) async fn names(target: Arc<Target>) {
         if let Ok(client) = joined {
             client.leave().await;
         }
-        honest.heartbeat();
-        if honest.drain(NAME_EVERY).await.is_err() {
-            return target.count("honest connection ended by the server");
+        let paused = timeout(NAME_EVERY, stay(&mut honest)).await;
+        if paused.is_ok() {
+            return target.count(ENDED);
         }
     }
+    stay(&mut honest).await;
+    target.count(ENDED);
+}
+
+/// Keeps a participant in the session; returns when the server has ended its connection.
+async fn stay(client: &mut RawClient) {
     loop {
-        honest.heartbeat();
-        if honest.drain(AGAIN).await.is_err() {
-            return target.count("honest connection ended by the server");
+        client.heartbeat();
+        if client.drain(HEARTBEAT_EVERY).await.is_err() {
+            return;
         }
     }
 }
