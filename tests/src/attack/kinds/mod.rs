@@ -136,7 +136,7 @@ pub const ALL: &[Attack] = &[
         about: "spectators join under names that look like that of another participant",
         takes_seats: false,
         pages: None,
-        forbidden: &[names::ACCEPTED, names::ENDED],
+        forbidden: &[names::ACCEPTED],
         run: |t| Box::pin(names::names(t)),
     },
     Attack {

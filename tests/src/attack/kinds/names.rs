@@ -34,7 +34,7 @@ const NAME_EVERY: Duration = Duration::from_millis(200);
 const HEARTBEAT_EVERY: Duration = Duration::from_millis(200);
 
 /// The count of honest participants whom the server disconnected.
-pub(super) const ENDED: &str = "honest connection ended by the server";
+const ENDED: &str = "honest connection ended by the server";
 
 /// The count of false names that the server accepted.
 pub(super) const ACCEPTED: &str = "false names accepted";
@@ -51,8 +51,10 @@ pub(super) async fn names(target: Arc<Target>) {
     for name in FALSE_NAMES {
         let joins = RawClient::join(link, hello(link, name.to_owned(), None));
         let joined = tokio::select! {
-            joined = joins => joined,
+            // First: without the honest participant the name is free.
+            biased;
             () = stay(&mut honest) => return target.count(ENDED),
+            joined = joins => joined,
         };
         target.count(match &joined {
             Ok(_) => ACCEPTED,
