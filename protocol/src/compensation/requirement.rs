@@ -35,10 +35,10 @@ const MEMORY: Span = Span::from_millis(30_000);
 /// A longer rise is the new level of the path, not a burst.
 const LEVEL_WINDOW: Span = Span::from_millis(1200);
 
-/// A step is a rise of all packets within this time: at 250 Hz four.
+/// A step is a rise of all packets within this time and of the one before it: at 250 Hz of five.
 const STEP_WINDOW: Span = Span::from_millis(14);
 
-/// A step is a rise of at least this many packets: the window may hold a single one after a pause of its sender.
+/// Minimum number of packets in a step: after a pause of their sender the window holds a single arrival.
 const STEP_PACKETS: usize = 4;
 
 /// The quantile of a path without jitter is a packet interval; jitter is beyond it.
@@ -255,7 +255,8 @@ impl Requirement {
 
     /// Renews D*; returns whether a step must be reported at once.
     fn follow(&mut self, now: ServerTime, age_us: i64) -> bool {
-        // Each interval begins with the age of the packet before.
+        // Each interval begins with the age of the packet before. The minimum counts in both windows, so that the level is
+        // never above the step.
         let least_us = |window: Span| {
             let recent = self.intervals.iter().rev().zip(2..);
             let recent = recent.take_while(|(i, n)| *n <= STEP_PACKETS || now - i.until < window);

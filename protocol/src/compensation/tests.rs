@@ -354,7 +354,7 @@ fn sender_lateness_does_not_count_as_network_delay() {
 fn few_late_packets_after_pauses_are_no_step() {
     let mut estimator = DelayEstimator::default();
     let mut t = 0;
-    let mut delays_after = |late: i64| {
+    let mut step_and_delay_after = |late: i64| {
         for i in 0..300 {
             // The last packets come 15 ms apart, each 12 ms older than usual.
             let is_late = i >= 300 - late;
@@ -366,9 +366,9 @@ fn few_late_packets_after_pauses_are_no_step() {
         (estimator.take_urgent(), estimator.wanted().unwrap())
     };
     for late in 1..4 {
-        assert_eq!(delays_after(late), (false, Span::ZERO), "{late}");
+        assert_eq!(step_and_delay_after(late), (false, Span::ZERO), "{late}");
     }
-    let (is_step, wanted) = delays_after(4);
+    let (is_step, wanted) = step_and_delay_after(4);
     assert!(is_step && wanted > Span::ZERO, "{wanted:?}");
 }
 

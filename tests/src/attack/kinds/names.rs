@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::time::{sleep, timeout};
 
 use super::{AGAIN, Target};
-use crate::attack::raw_client::{RawClient, hello};
+use crate::attack::raw_client::{JoinError, RawClient, hello};
 
 /// The name of the honest participant.
 const HONEST: &str = "ann";
@@ -29,12 +29,12 @@ const FALSE_NAMES: [&str; 7] = [
 /// Time between two names.
 const NAME_EVERY: Duration = Duration::from_millis(200);
 
-/// Time between two heartbeats of the honest participant, also while an imitator waits for its answer: the seat of a silent
-/// participant who has not moved gives way.
+/// Time between two heartbeats of the honest participant, also while an imitator joins. After 2 s of silence the server
+/// disconnects it, and the seat of a participant who never moved gives way.
 const HEARTBEAT_EVERY: Duration = Duration::from_millis(200);
 
-/// The count of honest participants whom the server disconnected.
-const ENDED: &str = "honest connection ended by the server";
+/// The count of honest participants who lost their connection.
+const ENDED: &str = "honest connection lost";
 
 /// The count of false names that the server accepted.
 pub(super) const ACCEPTED: &str = "false names accepted";
@@ -58,13 +58,13 @@ pub(super) async fn names(target: Arc<Target>) {
         };
         target.count(match &joined {
             Ok(_) => ACCEPTED,
-            Err(_) => "false names refused",
+            Err(JoinError::Refused(_)) => "false names refused",
+            Err(JoinError::Failed(_)) => "joins without an answer",
         });
         if let Ok(client) = joined {
             client.leave().await;
         }
-        let paused = timeout(NAME_EVERY, stay(&mut honest)).await;
-        if paused.is_ok() {
+        if timeout(NAME_EVERY, stay(&mut honest)).await.is_ok() {
             return target.count(ENDED);
         }
     }
@@ -72,7 +72,7 @@ pub(super) async fn names(target: Arc<Target>) {
     target.count(ENDED);
 }
 
-/// Keeps a participant in the session; returns when the server has ended its connection.
+/// Keeps a participant in the session; returns when it has lost its connection.
 async fn stay(client: &mut RawClient) {
     loop {
         client.heartbeat();
