@@ -33,9 +33,9 @@ const LAST_STEPS: usize = 3;
 /// Bounds of the step length along a coarse correction. Tissue that bottoms out may accept none of it: with a lower bound
 /// of 0.01 full solves of deep jumps diverge.
 const SHARES: [f64; 2] = [0.0, 2.0];
-/// Longest move of a node along a full coarse correction, in spacings (a trust region). A flap that hangs on one edge of a
-/// wound is nearly a mechanism: its linear correction was 0.3 m, where forces far beyond the range of the linear model
-/// misled the line search.
+/// Longest move of a node along a coarse correction of step length 1, in spacings (a trust region). A flap that hangs on one
+/// edge of a wound is nearly a mechanism: its linear correction was 0.3 m, where forces far beyond the range of the linear
+/// model misled the line search.
 const REACH: f64 = 4.0;
 /// Initial threshold of a single node, relative to the allowed residual. Once the active set has converged, the
 /// threshold is lowered until all unbalanced nodes together can not exceed the allowed residual.
@@ -543,6 +543,7 @@ impl Solver {
         } else {
             self.deferred_work()
         };
+        // Along the scaled correction; deferred forces are linear in its length.
         let waiting = [
             scale * waiting[0],
             scale * (waiting[0] + scale * (waiting[1] - waiting[0])),
