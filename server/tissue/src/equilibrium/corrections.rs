@@ -153,19 +153,11 @@ impl FineLevel {
         }
     }
 
-    /// Moves the nodes of the set by the correction of level 1, scaled down so far that no node moves by more than `reach` m.
-    /// Returns the scale.
-    pub(super) fn correct(
-        &mut self,
-        hierarchy: &Hierarchy,
-        coarse: &Multigrid,
-        u: &mut [Vec3],
-        reach: f64,
-    ) -> f64 {
+    /// Moves the nodes of the set by the correction of level 1.
+    pub(super) fn correct(&mut self, hierarchy: &Hierarchy, coarse: &Multigrid, u: &mut [Vec3]) {
         self.moved.clear();
         self.old.clear();
         let e = &coarse.grids[0].e;
-        let mut longest = 0.0_f64;
         for i in 0..self.nodes.items.len() {
             let node = self.nodes.items[i];
             let n = node as usize;
@@ -173,21 +165,9 @@ impl FineLevel {
             let v = hierarchy.prolongation.interpolate(n, e);
             let by = Vec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
             let by = if self.fixed[n] { Vec3::zeros() } else { by };
-            longest = longest.max(by.norm_squared());
             self.moved.push((node, by));
-        }
-        let longest = longest.sqrt();
-        let scale = if longest > reach {
-            reach / longest
-        } else {
-            1.0
-        };
-        for i in 0..self.moved.len() {
-            self.moved[i].1 *= scale;
-            let (node, by) = self.moved[i];
             self.shift(u, node, by);
         }
-        scale
     }
 
     /// Reduces the applied correction to `share` of it; brick forces are interpolated linearly.

@@ -255,6 +255,18 @@ impl Multigrid {
         }
     }
 
+    /// Shortens the correction of level 1 to `reach` m at each point.
+    pub(super) fn limit_corrections(&mut self, reach: f32) {
+        let grid = &mut self.grids[0];
+        for &point in &grid.points.items {
+            let e = &mut grid.e[point as usize];
+            let length = e.iter().map(|v| v * v).sum::<f32>().sqrt();
+            if length > reach {
+                *e = e.map(|v| v * (reach / length));
+            }
+        }
+    }
+
     /// Whether the totals changed in this step are below `limit` m.
     pub(super) fn is_within(&self, limit: f64) -> bool {
         self.grids.iter().all(|grid| {

@@ -33,10 +33,9 @@ const LAST_STEPS: usize = 3;
 /// Bounds of the step length along a coarse correction. Tissue that bottoms out may accept none of it: with a lower bound
 /// of 0.01 full solves of deep jumps diverge.
 const SHARES: [f64; 2] = [0.0, 2.0];
-/// Longest move of a node along a coarse correction of step length 1, in spacings (a trust region). A flap that hangs on one
-/// edge of a wound is nearly a mechanism: its linear correction was 0.3 m, where forces far beyond the range of the linear
-/// model misled the line search.
-const REACH: f64 = 4.0;
+/// Longest coarse correction of a point of level 1, in spacings. A flap that hangs on one edge of a wound is nearly a
+/// mechanism: its linear correction was 0.3 m, and the line search then shortened the correction of all tissue to nothing.
+const CORRECTION_MAX: f32 = 1.0;
 /// Initial threshold of a single node, relative to the allowed residual. Once the active set has converged, the
 /// threshold is lowered until all unbalanced nodes together can not exceed the allowed residual.
 pub(super) const INITIAL_THRESHOLD: f64 = 0.25;
@@ -528,12 +527,8 @@ impl Solver {
         let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
         coarse.cycle(hierarchy, smooths_before);
         fine.add_contacts(u, &self.contacts, -1.0);
-        let scale = fine.correct(
-            hierarchy,
-            coarse,
-            u,
-            REACH / f64::from(hierarchy.per_spacing),
-        );
+        coarse.limit_corrections(CORRECTION_MAX / hierarchy.per_spacing);
+        fine.correct(hierarchy, coarse, u);
         fine.evaluate_bricks(hierarchy, u);
         coarse.defer(hierarchy);
         // Held nodes: deferred work would shorten the step too much. A cube from rest then needs five iterations to 1 %
@@ -543,15 +538,10 @@ impl Solver {
         } else {
             self.deferred_work()
         };
-        // Along the scaled correction; deferred forces are linear in its length.
-        let waiting = [
-            scale * waiting[0],
-            scale * (waiting[0] + scale * (waiting[1] - waiting[0])),
-        ];
         let (moved, old) = (&self.fine.moved, &self.fine.old);
         let share = self.line_search(u, moved, old, waiting, SHARES);
         let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
-        coarse.commit(hierarchy, (scale * share) as f32, threshold as f32);
+        coarse.commit(hierarchy, share as f32, threshold as f32);
         fine.settle(hierarchy, coarse, u, share);
         fine.add_contacts(u, &self.contacts, 1.0);
     }
