@@ -187,13 +187,13 @@ impl ReplicaLoop {
             charged = cpu;
             // Missed periods after a long solve are skipped.
             deadline = (deadline + period).max(now + rest);
-            self.rest_until(deadline, now + rest);
+            self.rest_until(deadline);
         }
     }
 
-    /// Sleeps until the deadline. Cuts that arrive or are ready after `free` are handled in between.
-    fn rest_until(&mut self, deadline: ClientTime, free: ClientTime) {
-        sleep_until(free);
+    /// Sleeps until the deadline. Cuts that arrive or are ready are handled in between, also while the budget is spent; it is charged
+    /// for them afterwards.
+    fn rest_until(&mut self, deadline: ClientTime) {
         while self.ending.is_none() && park_until(deadline) {
             self.guarded(Self::handle_events);
             self.view();

@@ -5,8 +5,8 @@
 //! force        1 kHz force loop                          base       0.5 of  1 ms
 //! hand-solver  tissue under the own tool                 base - 1   2   of  4 ms
 //! network      sockets, session machines, motion relay   base - 2   5   of 10 ms
-//! server-tick  authoritative tissue                      base - 3   15  of 33 ms
-//! cut          cuts of server and replica                base - 4   15  of 33 ms
+//! cut          cuts of server and replica                base - 3   15  of 33 ms
+//! server-tick  authoritative tissue                      base - 4   15  of 33 ms
 //! background   views, model building, statistics         ordinary   none
 //! ```
 //!
@@ -58,10 +58,10 @@ pub enum ThreadClass {
     HandSolver,
     /// Sockets, session machines and the relay of motion.
     Network,
-    /// The solver of the authoritative tissue.
-    ServerTick,
     /// Cuts of the authoritative tissue and of a replica.
     Cut,
+    /// The solver of the authoritative tissue.
+    ServerTick,
     /// Views, model building, statistics.
     Background,
 }
@@ -83,8 +83,8 @@ impl ThreadClass {
         Self::Force,
         Self::HandSolver,
         Self::Network,
-        Self::ServerTick,
         Self::Cut,
+        Self::ServerTick,
         Self::Background,
     ];
 
@@ -94,8 +94,8 @@ impl ThreadClass {
             Self::Force => "force",
             Self::HandSolver => "hand-solver",
             Self::Network => "network",
-            Self::ServerTick => "server-tick",
             Self::Cut => "cut",
+            Self::ServerTick => "server-tick",
             Self::Background => "background",
         }
     }
@@ -111,8 +111,8 @@ impl ThreadClass {
             Self::Force => Some(class(0, 500, 1_000)),
             Self::HandSolver => Some(class(1, 2_000, 4_000)),
             Self::Network => Some(class(2, 5_000, 10_000)),
-            Self::ServerTick => Some(class(3, 15_000, 33_000)),
-            Self::Cut => Some(class(4, 15_000, 33_000)),
+            Self::Cut => Some(class(3, 15_000, 33_000)),
+            Self::ServerTick => Some(class(4, 15_000, 33_000)),
             Self::Background => None,
         }
     }
