@@ -128,6 +128,7 @@ struct Settler {
 impl Settler {
     fn run(mut self, todo: &Receiver<Work>) {
         let mut budget = ThreadClass::ServerTick.budget();
+        let mut free_ns = 0;
         while let Ok(work) = todo.recv() {
             match work {
                 Work::End => return,
@@ -144,6 +145,8 @@ impl Settler {
                     let _ = self.jobs.send(CutWork::Snapshot);
                 }
                 Work::Order(TissueOrder::Settle(order)) => {
+                    // Ticks wait for the budget; cuts do not.
+                    threads::sleep_until_ns(free_ns);
                     let (began_ns, worked_ns) = (threads::monotonic_ns(), threads::worked_ns());
                     let mut stop = || threads::worked_ns() - worked_ns >= self.limit_ns;
                     let report = self.authority.settle(&order, &mut stop);
@@ -160,7 +163,7 @@ impl Settler {
                     }
                     let used = Span::from_micros((threads::worked_ns() - worked_ns) / 1000);
                     let rest = budget.charge(now_ns / 1000, used);
-                    threads::sleep_until_ns(now_ns + rest.as_micros() * 1000);
+                    free_ns = now_ns + rest.as_micros() * 1000;
                 }
             }
         }

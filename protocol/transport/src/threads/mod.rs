@@ -14,8 +14,8 @@
 //! thread without permission keeps ordinary priority, never less, and asks for short time slices instead
 //! (EEVDF, Linux 6.12 and later). A supervisor thread enforces the budgets: a real-time thread that has
 //! spent its budget runs at ordinary priority until the budget is replenished ([`CpuBudget`]), so that
-//! no faulty thread can stop the machine. The loops of this project also charge their own budget and
-//! sleep.
+//! no faulty thread can stop the machine. The loops of solvers also charge their own budget and sleep;
+//! they handle cuts meanwhile, and are charged for them afterwards.
 //!
 //! The registry is one per process, as threads and their priorities are.
 

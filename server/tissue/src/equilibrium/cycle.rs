@@ -5,7 +5,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::coarse_level::{CoarseLevel, Deferred, apply, follow_coarser};
+use super::coarse_level::{CoarseLevel, Deferred, apply, follow_coarser, square};
 use super::hierarchy::{Hierarchy, Level};
 use super::matrix::Corners;
 use super::matrix::Matrix;
@@ -255,14 +255,27 @@ impl Multigrid {
         }
     }
 
-    /// Shortens the correction of level 1 to `reach` m at each point.
-    pub(super) fn limit_corrections(&mut self, reach: f32) {
-        let grid = &mut self.grids[0];
-        for &point in &grid.points.items {
-            let e = &mut grid.e[point as usize];
-            let length = e.iter().map(|v| v * v).sum::<f32>().sqrt();
-            if length > reach {
-                *e = e.map(|v| v * (reach / length));
+    /// Shortens the correction of every level to `reach` m at each point. Rim points still follow the coarser level.
+    pub(super) fn limit_corrections(&mut self, hierarchy: &Hierarchy, reach: f32) {
+        let mut is_shortened = false;
+        for l in (0..self.grids.len()).rev() {
+            let (finer, coarser) = self.grids.split_at_mut(l + 1);
+            let (grid, above) = (&mut finer[l], coarser.first());
+            for &point in &grid.points.items {
+                let p = point as usize;
+                if let Some(above) = above.filter(|_| !grid.free[p]) {
+                    if is_shortened {
+                        let prolongation = &hierarchy.levels[l].prolongation;
+                        grid.e[p] = prolongation.interpolate(p, &above.e);
+                    }
+                    continue;
+                }
+                let e = &mut grid.e[p];
+                let length = square(e).sqrt();
+                if length > reach {
+                    *e = e.map(|v| v * (reach / length));
+                    is_shortened = true;
+                }
             }
         }
     }

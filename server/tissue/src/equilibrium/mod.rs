@@ -59,6 +59,8 @@ mod construction;
 mod contact_smoother;
 mod contact_stiffness;
 mod corners;
+#[cfg(test)]
+mod correction_tests;
 mod corrections;
 mod cut_preparer;
 mod cycle;

@@ -33,8 +33,8 @@ const LAST_STEPS: usize = 3;
 /// Bounds of the step length along a coarse correction. Tissue that bottoms out may accept none of it: with a lower bound
 /// of 0.01 full solves of deep jumps diverge.
 const SHARES: [f64; 2] = [0.0, 2.0];
-/// Longest coarse correction of a point of level 1, in spacings. A flap that hangs on one edge of a wound is nearly a
-/// mechanism: its linear correction was 0.3 m, and the line search then shortened the correction of all tissue to nothing.
+/// Longest coarse correction of a point, in spacings. Without it a flap on one edge of a wound, which is nearly a mechanism, makes
+/// the line search shorten the correction of all tissue to nothing.
 const CORRECTION_MAX: f32 = 1.0;
 /// Initial threshold of a single node, relative to the allowed residual. Once the active set has converged, the
 /// threshold is lowered until all unbalanced nodes together can not exceed the allowed residual.
@@ -527,7 +527,7 @@ impl Solver {
         let (hierarchy, coarse, fine) = (&self.hierarchy, &mut self.coarse, &mut self.fine);
         coarse.cycle(hierarchy, smooths_before);
         fine.add_contacts(u, &self.contacts, -1.0);
-        coarse.limit_corrections(CORRECTION_MAX / hierarchy.per_spacing);
+        coarse.limit_corrections(hierarchy, CORRECTION_MAX / hierarchy.per_spacing);
         fine.correct(hierarchy, coarse, u);
         fine.evaluate_bricks(hierarchy, u);
         coarse.defer(hierarchy);
