@@ -15,7 +15,7 @@
 //! (EEVDF, Linux 6.12 and later). A supervisor thread enforces the budgets: a real-time thread that has
 //! spent its budget runs at ordinary priority until the budget is replenished ([`CpuBudget`]), so that
 //! no faulty thread can stop the machine. The loops of solvers also charge their own budget and sleep;
-//! they handle cuts meanwhile, and are charged for them afterwards.
+//! they handle cuts meanwhile.
 //!
 //! The registry is one per process, as threads and their priorities are.
 

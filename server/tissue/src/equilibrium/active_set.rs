@@ -3,9 +3,10 @@
 use super::brick::LOCALS;
 use super::coarse_level::{CoarseLevel, List};
 use super::cycle::Multigrid;
-use super::fine_level::{FineLevel, OuterForces, SetChange, square};
+use super::fine_level::{FineLevel, OuterForces, SetChange};
 use super::hierarchy::Hierarchy;
 use super::mechanism::Mechanism;
+use super::quad::square;
 use crate::Vec3;
 
 /// Fraction of the threshold below which a force is ignored, in quick and in full steps.

@@ -11,7 +11,7 @@
 
 use super::hierarchy::{Hierarchy, Level};
 use super::matrix::{Columns, Corners};
-use super::quad::{Quad, ZERO, laid_out, move_to_room, plus, trim};
+use super::quad::{Quad, ZERO, laid_out, move_to_room, plus, square, trim};
 
 /// Stiffness of an element including contacts and held nodes.
 pub(super) struct ContactStiffness {
@@ -514,9 +514,4 @@ pub(super) fn apply(m: &[f32; 6], v: &Quad) -> Quad {
         m[4] * v[0] + m[5] * v[1] + m[2] * v[2],
         0.0,
     ]
-}
-
-#[inline(always)]
-pub(super) fn square(v: &Quad) -> f32 {
-    v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::coarse_level::square;
+use super::quad::square;
 use super::solver::Solver;
 use crate::{Budget, Material, Shape, Tool, Topology, Vec3, block};
 

@@ -5,12 +5,12 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::coarse_level::{CoarseLevel, Deferred, apply, follow_coarser, square};
+use super::coarse_level::{CoarseLevel, Deferred, apply, follow_coarser};
 use super::hierarchy::{Hierarchy, Level};
 use super::matrix::Corners;
 use super::matrix::Matrix;
 use super::prolongation::Prolongation;
-use super::quad::{Quad, ZERO, plus};
+use super::quad::{Quad, ZERO, plus, square};
 
 /// Lowest eigenvalue that is damped on the coarsest level.
 const LOW_COARSEST: f32 = 0.02;

@@ -17,7 +17,7 @@ fn largest(solver: &Solver) -> u32 {
 /// The largest deferred force on a corner of an element, in N.
 fn deferred(solver: &Solver, element: u32) -> f32 {
     let deferred_force = &solver.coarse.grids[0].deferred_force[element as usize];
-    let squares = deferred_force.iter().map(super::coarse_level::square);
+    let squares = deferred_force.iter().map(super::quad::square);
     squares.fold(0.0, f32::max).sqrt()
 }
 

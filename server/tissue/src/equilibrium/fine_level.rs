@@ -14,7 +14,7 @@ use super::hierarchy::Hierarchy;
 use super::jacobi_blocks::JacobiBlocks;
 use super::kernel::{Ends, Forces};
 use super::mechanism::Disabled;
-use super::quad::{Quad, ZERO, laid_out};
+use super::quad::{Quad, ZERO, laid_out, square};
 use super::weight::weights;
 use crate::contact::Contacts;
 use crate::{Topology, Vec3};
@@ -491,9 +491,4 @@ pub(super) fn contact_block(k: f64, n: &Vec3) -> [f32; 6] {
         k * n.y * n.z,
     ]
     .map(|v| v as f32)
-}
-
-#[inline(always)]
-pub(super) fn square(v: &Quad) -> f32 {
-    v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 }

@@ -9,6 +9,12 @@ pub(crate) type Quad = [f32; 4];
 
 pub(crate) const ZERO: Quad = [0.0; 4];
 
+/// Squared length.
+#[inline(always)]
+pub(super) fn square(v: &Quad) -> f32 {
+    v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+}
+
 /// Work of a force in N along a displacement in m, in N m.
 #[inline(always)]
 pub(crate) fn work(force: &Quad, by: &Vec3) -> f64 {

@@ -1,7 +1,8 @@
 //! Settling: the first quick steps after every force was evaluated, on new levels or by a full solve.
 
-use super::fine_level::{FineLevel, OuterForces, square};
+use super::fine_level::{FineLevel, OuterForces};
 use super::mechanism::Mechanism;
+use super::quad::square;
 use super::solver::{INITIAL_THRESHOLD, QUICK, Solver};
 
 /// Minimum and maximum number of steps of settling on a changed topology. The forces of a press are within tolerance
