@@ -74,20 +74,8 @@ pub(crate) struct ReplicaThread {
 impl ReplicaThread {
     pub(crate) fn spawn(inputs: Inputs) -> std::io::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
-        let progress = Arc::new(Mutex::new(Progress::default()));
-        let mut replica = ReplicaLoop {
-            inputs,
-            helpers: None,
-            resyncs: 0,
-            progress: Arc::clone(&progress),
-            horizon: Horizon::default(),
-            haptic_us: histogram(),
-            view_us: histogram(),
-            first_view: None,
-            recorded_nodes: 0,
-            link_lost: false,
-            ending: None,
-        };
+        let mut replica = ReplicaLoop::new(inputs);
+        let progress = Arc::clone(&replica.progress);
         let stopped = Arc::clone(&stop);
         // A spectator has no force, so a late solve does no harm.
         let class = if replica.inputs.hand.is_some() {
@@ -167,6 +155,22 @@ struct ReplicaLoop {
 }
 
 impl ReplicaLoop {
+    fn new(inputs: Inputs) -> Self {
+        Self {
+            inputs,
+            helpers: None,
+            resyncs: 0,
+            progress: Arc::default(),
+            horizon: Horizon::default(),
+            haptic_us: histogram(),
+            view_us: histogram(),
+            first_view: None,
+            recorded_nodes: 0,
+            link_lost: false,
+            ending: None,
+        }
+    }
+
     fn run(&mut self, stop: &AtomicBool, mut budget: CpuBudget) {
         self.inputs.inbox.read_here();
         let mut deadline = monotonic_now();
@@ -548,23 +552,4 @@ fn percentiles(us: &Histogram<u32>) -> SolveTimes {
 }
 
 #[cfg(test)]
-mod tests {
-    use palpate_haptics::Touch;
-
-    use super::*;
-
-    #[test]
-    fn contact_model_without_trust_has_no_force() {
-        let mut model = ContactModel::single(Touch {
-            touches: true,
-            ..Touch::NONE
-        });
-        model.solved_at = ClientTime::from_micros(7);
-        model.topology_version = 3;
-        assert!(model.in_contact());
-        remove_force(&mut model);
-        assert!(!model.in_contact());
-        assert_eq!(model.solved_at, ClientTime::from_micros(7));
-        assert_eq!(model.topology_version, 3);
-    }
-}
+mod tests;

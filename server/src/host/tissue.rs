@@ -4,12 +4,12 @@
 
 use std::num::NonZeroUsize;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use palpate_protocol::{Span, TopologyHash};
-use palpate_room::{Authority, CutJob, Cutter, TissueOrder, TissueReport};
+use palpate_room::{Authority, CutJob, Cutter, Settling, TissueOrder, TissueReport};
 use palpate_tissue::{Model, PreparedCut};
 use palpate_transport::threads::{self, ThreadClass};
 use palpate_view::Feed;
@@ -128,8 +128,8 @@ struct Settler {
 impl Settler {
     fn run(mut self, todo: &Receiver<Work>) {
         let mut budget = ThreadClass::ServerTick.budget();
-        let mut free_ns = 0;
-        while let Ok(work) = todo.recv() {
+        let (mut tick, mut free_ns) = (None, 0);
+        while let Some(work) = next_work(todo, &mut tick, free_ns) {
             match work {
                 Work::End => return,
                 Work::Prepared(cut) => self.authority.take_cut(*cut),
@@ -145,8 +145,6 @@ impl Settler {
                     let _ = self.jobs.send(CutWork::Snapshot);
                 }
                 Work::Order(TissueOrder::Settle(order)) => {
-                    // Ticks wait for the budget; cuts do not.
-                    threads::sleep_until_ns(free_ns);
                     let (began_ns, worked_ns) = (threads::monotonic_ns(), threads::worked_ns());
                     let mut stop = || threads::worked_ns() - worked_ns >= self.limit_ns;
                     let report = self.authority.settle(&order, &mut stop);
@@ -167,6 +165,23 @@ impl Settler {
                 }
             }
         }
+    }
+}
+
+/// The next work; `None` when the queue has closed. A tick waits until `free_ns`, when the CPU budget allows one again, and
+/// everything that arrives meanwhile comes before it: other sites wait for cuts.
+fn next_work(todo: &Receiver<Work>, tick: &mut Option<Settling>, free_ns: i64) -> Option<Work> {
+    if tick.is_none() {
+        match todo.recv().ok()? {
+            Work::Order(TissueOrder::Settle(settling)) => *tick = Some(settling),
+            other => return Some(other),
+        }
+    }
+    let rest_ns = (free_ns - threads::monotonic_ns()).max(0).unsigned_abs();
+    match todo.recv_timeout(Duration::from_nanos(rest_ns)) {
+        Ok(other) => Some(other),
+        Err(RecvTimeoutError::Timeout) => tick.take().map(|t| Work::Order(TissueOrder::Settle(t))),
+        Err(RecvTimeoutError::Disconnected) => None,
     }
 }
 
@@ -202,4 +217,40 @@ fn cut_all(
         }
     }
     cutter
+}
+
+#[cfg(test)]
+mod tests {
+    use palpate_protocol::ServerTime;
+
+    use super::*;
+
+    #[test]
+    fn tick_waits_for_its_budget_and_cuts_do_not() {
+        let (work, todo) = channel();
+        let settle = Settling {
+            view_time: ServerTime::ZERO,
+            tools: Vec::new(),
+            blades: Vec::new(),
+            returns: false,
+            wants_corrections: false,
+            wants_picture: None,
+        };
+        let free_ns = threads::monotonic_ns() + 1_000_000_000;
+        work.send(Work::Order(TissueOrder::Settle(settle))).unwrap();
+        let later = work.clone();
+        let cut = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(5));
+            later.send(Work::Order(TissueOrder::Snapshot)).unwrap();
+        });
+        let mut tick = None;
+        let first = next_work(&todo, &mut tick, free_ns);
+        assert!(matches!(first, Some(Work::Order(TissueOrder::Snapshot))));
+        let second = next_work(&todo, &mut tick, free_ns);
+        assert!(matches!(second, Some(Work::Order(TissueOrder::Settle(_)))));
+        assert!(threads::monotonic_ns() >= free_ns);
+        cut.join().unwrap();
+        drop(work);
+        assert!(next_work(&todo, &mut tick, free_ns).is_none());
+    }
 }
