@@ -107,7 +107,7 @@ impl Blend {
     pub(crate) fn new(coupling: Coupling) -> Self {
         Self {
             coupling,
-            model: ContactModel::FREE,
+            model: ContactModel::absent_at(ClientTime::ZERO, 0),
             old: Laws::FREE,
             new: Laws::FREE,
             began: ClientTime::ZERO,
@@ -118,6 +118,11 @@ impl Blend {
     /// The model that was accepted last.
     pub(crate) fn model(&self) -> &ContactModel {
         &self.model
+    }
+
+    /// When the model was accepted.
+    pub(crate) fn taken_at(&self) -> ClientTime {
+        self.began
     }
 
     /// Accepts `model`, which is usable, if it is new or its contact has begun or ended; returns whether it did.

@@ -119,6 +119,8 @@ pub struct Chain {
     contact_points: ContactPoints,
     /// `None` when switched off.
     passivity: Option<Passivity>,
+    /// Whether the tissue has closed around a tool that was inside already; until the end of the soft start.
+    begins_inside: bool,
     slew: WrenchSlew,
     observer: EnergyObserver,
     counters: Counters,
@@ -174,6 +176,7 @@ impl Chain {
             passivity: config
                 .passivity
                 .then(|| Passivity::new(slew.force.step(), slew.torque.step(), config.period)),
+            begins_inside: false,
             slew,
             observer: EnergyObserver::default(),
             counters: Counters::default(),
@@ -268,7 +271,12 @@ impl Chain {
         } else {
             &newest.without_contact()
         };
+        let was_absent = self.is_absent(now);
         if self.blend.take(valid, now, &motion) {
+            if was_absent && self.blend.model().in_contact() {
+                self.begins_inside = true;
+                self.soft_start.lower_to(0.0);
+            }
             self.solved_at = self.in_own_time(newest.solved_at, now);
         }
         let (wrench, planes) = self.contact_points.tick(&self.blend, now, dt, &motion);
@@ -285,14 +293,15 @@ impl Chain {
                 passivity.interrupt();
             }
             passivity.set_external_work(model.external_work_j);
-            passivity.observe(&ToolState {
+            let seen = ToolState {
                 pose: sample.pose,
                 v: motion.v,
                 w: motion.w,
                 dt,
                 there,
                 stiffness_n_per_m: model.normal_stiffness(),
-            });
+            };
+            passivity.observe(&seen, self.begins_inside);
         }
         let target = there.scaled(trusted * open);
         let wrench = self.passivate(self.rendered(target), &motion, &mut events);
@@ -403,6 +412,12 @@ impl Chain {
         }
     }
 
+    /// Whether the hand may move into the tissue without a force: the tool takes no part, or no model has come since it was free.
+    fn is_absent(&self, now: ClientTime) -> bool {
+        let model = self.blend.model();
+        model.is_absent || !model.in_contact() && self.watchdog.is_lost(now - self.blend.taken_at())
+    }
+
     /// Gain of the watchdog, and gain of soft start and link guard.
     fn gains(&mut self, now: ClientTime, dt: Span, pose: &Pose, events: &mut Events) -> [f64; 2] {
         let dt_up = dt.min(DT_UP_MAX);
@@ -426,6 +441,7 @@ impl Chain {
         events.set(Events::LEFT_RADIUS, has_left);
         events.set(Events::LINK_LOST, self.link.is_lost());
         events.set(Events::SOFT_START, soft < 1.0);
+        self.begins_inside &= soft < 1.0;
         [gain, link * soft]
     }
 

@@ -59,6 +59,9 @@ pub struct ContactModel {
     pub is_inserted: bool,
     /// Whether the blade was cutting in the solve; `None` for other tools.
     pub was_cutting: Option<bool>,
+    /// Whether the tool took no part in the solve, or its force is not trusted: the session or the tool is paused, the link is
+    /// lost, or there is no tissue yet. The hand moves freely meanwhile, also into the tissue.
+    pub is_absent: bool,
 }
 
 impl ContactModel {
@@ -75,6 +78,7 @@ impl ContactModel {
         force_limit_n: f64::INFINITY,
         is_inserted: false,
         was_cutting: None,
+        is_absent: false,
     };
 
     /// The tool touches nothing, as of `solved_at`.
@@ -83,6 +87,14 @@ impl ContactModel {
             topology_version,
             solved_at,
             ..Self::FREE
+        }
+    }
+
+    /// The tool takes no part, as of `solved_at`.
+    pub const fn absent_at(solved_at: ClientTime, topology_version: u32) -> Self {
+        Self {
+            is_absent: true,
+            ..Self::free_at(solved_at, topology_version)
         }
     }
 

@@ -40,7 +40,9 @@
 //! Stored energy and debts decay after the contact, not at once, because a model without contact may arrive between
 //! two with one: a tool off an elastic tissue has got back all its work. The tank holds at most the force over the
 //! depth of any press, so that work lost to friction can not feed a later oscillation. After an unobserved motion
-//! (a fault, a jump) the tissue is assumed to store the energy of a spring, |F|²/(2 K).
+//! (a fault, a jump) the tissue is assumed to store the energy of a spring, |F|²/(2 K). So it is while the force of a tool
+//! that was already inside begins (after a pause of the session or a late join): a hand without force earns no energy, so it
+//! would stay without force.
 
 use nalgebra::Vector3;
 use palpate_device::{Pose, Wrench};
@@ -168,8 +170,9 @@ impl Passivity {
         self.external_tank_j = (self.external_tank_j + external_work_j - before).max(0.0);
     }
 
-    /// Accounts for the motion of the tool since the last tick.
-    pub(crate) fn observe(&mut self, seen: &ToolState) {
+    /// Accounts for the motion of the tool since the last tick. `begins_inside` tells whether the force of a tool that was
+    /// already inside the tissue is beginning.
+    pub(crate) fn observe(&mut self, seen: &ToolState, begins_inside: bool) {
         let there = &seen.there;
         let room = RESERVE_J + there.force.norm() * DEPTH_M + there.torque.norm() * TURN_RAD;
         self.capacity_j = room.max(self.capacity_j * self.decay(DECAY_S));
@@ -179,25 +182,20 @@ impl Passivity {
             .replace([seen.v, seen.w])
             .unwrap_or([seen.v, seen.w]);
         self.speeding_up = [(seen.v - v) / dt_s, (seen.w - w) / dt_s];
-        match self
+        let observed = self
             .last
-            .filter(|last| is_plausible_motion(last, &seen.pose, dt_s))
-        {
-            Some(last) => {
-                self.tank_j -= work(&last.wrench, &last.pose, &seen.pose);
-                let kept = self.withheld_j - work(&last.withheld, &last.pose, &seen.pose);
-                self.withheld_j = kept.max(0.0);
-                if last.withheld == Wrench::ZERO {
-                    self.tank_j += std::mem::take(&mut self.withheld_j);
-                }
+            .filter(|last| is_plausible_motion(last, &seen.pose, dt_s));
+        if let Some(last) = observed {
+            self.tank_j -= work(&last.wrench, &last.pose, &seen.pose);
+            let kept = self.withheld_j - work(&last.withheld, &last.pose, &seen.pose);
+            self.withheld_j = kept.max(0.0);
+            if last.withheld == Wrench::ZERO {
+                self.tank_j += std::mem::take(&mut self.withheld_j);
             }
-            // The motion is unknown. The tissue is assumed to store the energy of a spring with this force.
-            None if there.force.norm() > 0.0 => {
-                let n = there.force.norm();
-                let stored = 0.5 * n * n / seen.stiffness_n_per_m.max(1.0);
-                self.withheld_j = self.withheld_j.max(stored);
-            }
-            None => {}
+        }
+        if observed.is_none() || begins_inside {
+            let stored = 0.5 * there.force.norm_squared() / seen.stiffness_n_per_m.max(1.0);
+            self.withheld_j = self.withheld_j.max(stored - self.tank_j);
         }
         // The work that other participants have done on this hand is paid from their tank.
         let debt = (-self.tank_j).max(0.0).min(self.external_tank_j);

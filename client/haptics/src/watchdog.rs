@@ -97,6 +97,11 @@ impl Watchdog {
         }
     }
 
+    /// Whether a model of this age gives no force.
+    pub(crate) fn is_lost(&self, age: Span) -> bool {
+        self.gain_of_age(age) == 0.0
+    }
+
     fn gain_of_age(&self, age: Span) -> f64 {
         if age < -FUTURE_MAX {
             return 0.0;

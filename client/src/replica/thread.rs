@@ -15,7 +15,7 @@ use palpate_protocol::session::ClientEvent;
 use palpate_protocol::{ClientTime, LocalSample, Span};
 use palpate_site::{HAPTIC_PERIOD, Reach, Site, SiteError, ThinView, ViewUpdate, hand_budget};
 use palpate_transport::ClientCommand;
-use palpate_transport::threads::{self, CpuBudget, ThreadClass};
+use palpate_transport::threads::{self, ThreadClass};
 use tokio::sync::mpsc;
 use triple_buffer::{Input, Output};
 
@@ -85,7 +85,7 @@ impl ReplicaThread {
         };
         let thread = threads::spawn(class, "replica", move || {
             let _pool = single_thread_pool();
-            replica.run(&stopped, class.budget());
+            replica.run(&stopped, class);
             replica
         })?;
         Ok(Self {
@@ -142,6 +142,9 @@ struct ReplicaLoop {
     inputs: Inputs,
     /// Helper threads, once the initial log is applied.
     helpers: Option<Helpers>,
+    /// Whether the replica of the helpers was built since the last charge. The hand waits for it, so the thread does not rest for
+    /// that.
+    has_built: bool,
     /// Number of resyncs before the replica of the helpers.
     resyncs: u64,
     progress: Arc<Mutex<Progress>>,
@@ -159,6 +162,7 @@ impl ReplicaLoop {
         Self {
             inputs,
             helpers: None,
+            has_built: false,
             resyncs: 0,
             progress: Arc::default(),
             horizon: Horizon::default(),
@@ -171,8 +175,9 @@ impl ReplicaLoop {
         }
     }
 
-    fn run(&mut self, stop: &AtomicBool, mut budget: CpuBudget) {
+    fn run(&mut self, stop: &AtomicBool, class: ThreadClass) {
         self.inputs.inbox.read_here();
+        let mut budget = class.budget();
         let mut deadline = monotonic_now();
         let mut charged = worked();
         let period = if self.inputs.hand.is_some() {
@@ -187,8 +192,11 @@ impl ReplicaLoop {
             }
             self.publish();
             let (now, cpu) = (monotonic_now(), worked());
-            let rest = budget.charge(now.as_micros(), cpu - charged);
+            let mut rest = budget.charge(now.as_micros(), cpu - charged);
             charged = cpu;
+            if std::mem::take(&mut self.has_built) {
+                (budget, rest) = (class.budget(), Span::ZERO);
+            }
             // Missed periods after a long solve are skipped.
             deadline = (deadline + period).max(now + rest);
             self.rest_until(deadline);
@@ -288,6 +296,7 @@ impl ReplicaLoop {
         if let Some((prefetch, view)) = site.detach() {
             let failed = |error: std::io::Error| SiteError::Thread(error.to_string());
             let feed = self.inputs.page.as_ref().map(PageWindow::feed);
+            self.has_built = true;
             self.helpers = Some(Helpers {
                 cuts: CutWorker::spawn(prefetch).map_err(failed)?,
                 view: ViewThread::spawn(view, feed).map_err(failed)?,
@@ -529,7 +538,7 @@ impl ReplicaLoop {
 fn remove_force(model: &mut ContactModel) {
     *model = ContactModel {
         is_inserted: model.is_inserted,
-        ..ContactModel::free_at(model.solved_at, model.topology_version)
+        ..ContactModel::absent_at(model.solved_at, model.topology_version)
     };
 }
 

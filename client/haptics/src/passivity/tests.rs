@@ -99,7 +99,7 @@ fn a_spring_returns_its_stored_energy() {
         let x = Vector3::new(0.0, 0.0, z);
         let v = Vector3::new(0.0, 0.0, 0.1 * f64::from((before - tenth).signum()));
         let force = Vector3::new(0.0, 0.0, -500.0 * z);
-        p.observe(&seen(&x, force.z));
+        p.observe(&seen(&x, force.z), false);
         let (may, limited) = limit(&p, force, &v);
         assert!(!limited || tenth <= 20, "{may:?} of {force:?} at {tenth}");
         p.record(given(x, may, true));
@@ -117,7 +117,7 @@ fn stored_energy_decays_after_the_contact() {
     let mut p = passivity();
     let at = |z: f64| Vector3::new(0.0, 0.0, z);
     p.record(given(at(0.0), at(5.0), true));
-    p.observe(&seen(&at(-0.01), 5.0));
+    p.observe(&seen(&at(-0.01), 5.0), false);
     assert!((p.stored_j() - 0.05).abs() < 1e-12);
     p.record(given(at(-0.01), Vector3::zeros(), false));
     assert!(
@@ -131,7 +131,7 @@ fn stored_energy_decays_after_the_contact() {
     // Friction fills the tank only up to the depth of a press.
     p.record(given(at(0.0), at(1.0), true));
     for i in 1..1000 {
-        p.observe(&seen(&at(-0.01 * f64::from(i)), 1.0));
+        p.observe(&seen(&at(-0.01 * f64::from(i)), 1.0), false);
         p.record(given(at(-0.01 * f64::from(i)), at(1.0), true));
     }
     assert!(p.stored_j() < 0.06, "{} J", p.stored_j());
@@ -145,14 +145,14 @@ fn work_against_withheld_forces_is_credited() {
         withheld: Wrench::from_force(at(2.0)),
         ..given(at(0.0), Vector3::zeros(), true)
     });
-    p.observe(&seen(&at(-0.01), 2.0));
+    p.observe(&seen(&at(-0.01), 2.0), false);
     assert_eq!(limit(&p, at(2.0), &Vector3::zeros()), (at(2.0), false));
     // A hand that moves out again meanwhile has put nothing in.
     p.record(ControllerOutput {
         withheld: Wrench::from_force(at(2.0)),
         ..given(at(-0.01), Vector3::zeros(), true)
     });
-    p.observe(&seen(&at(0.0), 2.0));
+    p.observe(&seen(&at(0.0), 2.0), false);
     assert_eq!(
         limit(&p, at(2.0), &Vector3::zeros()),
         (Vector3::zeros(), true)
@@ -164,16 +164,16 @@ fn a_gap_in_contact_or_a_glitch_keeps_stored_energy() {
     let at = |z: f64| Vector3::new(0.0, 0.0, z);
     let mut p = passivity();
     p.record(given(at(0.0), at(4.0), true));
-    p.observe(&seen(&at(-0.01), 4.0));
+    p.observe(&seen(&at(-0.01), 4.0), false);
     p.record(given(at(-0.01), Vector3::zeros(), false));
-    p.observe(&seen(&at(-0.01), 0.0));
+    p.observe(&seen(&at(-0.01), 0.0), false);
     assert!(
         p.stored_j() > 0.03,
         "{} J after a tick without contact",
         p.stored_j()
     );
     p.record(given(at(-0.01), at(4.0), true));
-    p.observe(&seen(&at(0.2), 0.0));
+    p.observe(&seen(&at(0.2), 0.0), false);
     assert!(p.stored_j() > 0.03, "{} J after a glitch", p.stored_j());
 }
 
@@ -187,15 +187,15 @@ fn a_hand_moved_by_other_participants_owes_nothing() {
     for i in 0..10 {
         p.set_external_work(0.025 * f64::from(i + 1));
         p.record(given(at(5e-3 * f64::from(i)), at(4.0), true));
-        p.observe(&seen(&at(5e-3 * f64::from(i + 1)), 4.0));
+        p.observe(&seen(&at(5e-3 * f64::from(i + 1)), 4.0), false);
     }
     assert!(p.stored_j() >= 0.0, "{} J", p.stored_j());
     // Without a payer, the debt decays within a second off the tissue.
     p.record(given(at(0.0), at(4.0), true));
-    p.observe(&seen(&at(0.015), 4.0));
+    p.observe(&seen(&at(0.015), 4.0), false);
     for _ in 0..1000 {
         p.record(given(at(0.0), Vector3::zeros(), false));
-        p.observe(&seen(&at(0.0), 0.0));
+        p.observe(&seen(&at(0.0), 0.0), false);
     }
     assert!(p.stored_j() > -1e-5, "{} J", p.stored_j());
 }
@@ -205,7 +205,7 @@ fn after_a_gap_the_tissue_is_assumed_to_store_a_springs_energy() {
     let mut p = passivity();
     let force = Vector3::new(0.0, 0.0, 3.0);
     p.interrupt();
-    p.observe(&seen(&Vector3::zeros(), 3.0));
+    p.observe(&seen(&Vector3::zeros(), 3.0), false);
     assert_eq!(limit(&p, force, &Vector3::zeros()), (force, false));
 }
 
@@ -271,7 +271,7 @@ fn a_torsion_spring_returns_its_stored_energy() {
         let angle = -2e-3 * f64::from(step);
         let wrench = screw(0.0, -0.5 * angle);
         let w = Vector3::new(0.0, 0.0, 2.0 * f64::from((before - step).signum()));
-        p.observe(&seen_wrench(screwed(0.0, angle), wrench));
+        p.observe(&seen_wrench(screwed(0.0, angle), wrench), false);
         let (may, limited) = p.limit(&quick(), &wrench, &Vector3::zeros(), &w);
         assert!(!limited || step <= 40, "{may:?} of {wrench:?} at {step}");
         p.record(given_wrench(screwed(0.0, angle), may));
@@ -284,11 +284,11 @@ fn a_torsion_spring_returns_its_stored_energy() {
 fn an_implausible_rotation_is_not_charged() {
     let mut p = passivity();
     p.record(given_wrench(screwed(0.0, 0.0), screw(0.0, 0.3)));
-    p.observe(&seen_wrench(screwed(0.0, -0.05), screw(0.0, 0.3)));
+    p.observe(&seen_wrench(screwed(0.0, -0.05), screw(0.0, 0.3)), false);
     let stored = p.stored_j();
     assert!((stored - 0.015).abs() < 1e-12, "{stored} J");
     p.record(given_wrench(screwed(0.0, -0.05), screw(0.0, 0.3)));
-    p.observe(&seen_wrench(screwed(0.0, 1.5), screw(0.0, 0.3)));
+    p.observe(&seen_wrench(screwed(0.0, 1.5), screw(0.0, 0.3)), false);
     assert_eq!(p.stored_j(), stored);
 }
 
@@ -306,7 +306,7 @@ proptest! {
         for (speed, rate, ticks, force, torque) in ways {
             let target = screw(force, torque);
             for _ in 0..ticks {
-                p.observe(&seen_wrench(screwed(z, angle), target));
+                p.observe(&seen_wrench(screwed(z, angle), target), false);
                 let v = Vector3::new(0.0, 0.0, speed);
                 let w = Vector3::new(0.0, 0.0, rate);
                 let (may, _) = p.limit(&slew, &target, &v, &w);
@@ -337,7 +337,7 @@ proptest! {
         p.record(given(along(z), Vector3::zeros(), false));
         for (speed, ticks, target) in ways {
             for _ in 0..ticks {
-                p.observe(&seen(&along(z), target));
+                p.observe(&seen(&along(z), target), false);
                 let (may, limited) = limit(&p, slew.peek(along(target)), &along(speed));
                 let (force, _) = slew.towards(if limited { may } else { along(target) });
                 p.record(given(along(z), force, true));

@@ -341,7 +341,10 @@ impl Replica {
             ..ContactModel::free_at(now, version)
         };
         let Some(tissue) = self.haptic.tissue_mut() else {
-            return free;
+            return ContactModel {
+                is_absent: true,
+                ..free
+            };
         };
         let me = own.map(|t| t.participant);
         let others = others.iter().filter(|t| Some(t.participant) != me);
@@ -372,6 +375,7 @@ impl Replica {
         ContactModel {
             external_work_j: self.others.work_j,
             was_cutting: free.was_cutting,
+            is_absent: own.is_none(),
             ..model
         }
     }
