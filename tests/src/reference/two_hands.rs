@@ -36,7 +36,9 @@ pub(super) struct Pace {
     pub(super) moved_m: f64,
     /// Maximum ticks since the last solve.
     pub(super) at_least: i64,
+    /// Maximum ticks, and maximum motion of a tool in m, between two checks in contact.
     pub(super) check_every: i64,
+    pub(super) check_moved_m: f64,
 }
 
 impl Pace {
@@ -45,6 +47,7 @@ impl Pace {
         moved_m: 0.0,
         at_least: SOLVE_EVERY,
         check_every: i64::MAX,
+        check_moved_m: f64::INFINITY,
     };
 }
 
@@ -56,6 +59,7 @@ pub(super) struct TwoHands {
     solved: [ToolAt; 2],
     solves: usize,
     checked: i64,
+    checked_tools: [ToolAt; 2],
     checks: Checks,
     /// Cuts the hands' own strokes.
     cutter: Cutter,
@@ -120,6 +124,7 @@ impl TwoHands {
     ) -> Self {
         Self {
             solved: [seats[0].tool, seats[1].tool],
+            checked_tools: [seats[0].tool, seats[1].tool],
             seats,
             replicas,
             pace,
@@ -165,7 +170,10 @@ impl TwoHands {
                 continue;
             }
             let is_cut = self.take(us, &samples)?;
-            if is_cut || tick - last >= self.pace.at_least || self.has_moved() {
+            if is_cut
+                || tick - last >= self.pace.at_least
+                || self.has_moved(&self.solved, self.pace.moved_m)
+            {
                 self.solve(us);
                 last = tick;
             } else {
@@ -217,15 +225,22 @@ impl TwoHands {
         Ok(self.cut.len() > before)
     }
 
-    /// Whether a tool or its buttons changed since the last solve.
-    fn has_moved(&self) -> bool {
+    /// Whether a tool has moved by more than `by_m` since it was `before`, or its buttons changed.
+    fn has_moved(&self, before: &[ToolAt; 2], by_m: f64) -> bool {
         let tools = self.seats.iter().map(|seat| &seat.tool);
-        let mut both = tools.zip(&self.solved);
-        both.any(|(tool, solved)| !tool.is_within(solved, self.pace.moved_m))
+        let mut both = tools.zip(before);
+        both.any(|(tool, before)| !tool.is_within(before, by_m))
+    }
+
+    /// Whether a check is due.
+    fn is_check_due(&self, us: i64) -> bool {
+        us / TICK_US - self.checked >= self.pace.check_every
+            || self.has_moved(&self.checked_tools, self.pace.check_moved_m)
     }
 
     fn solve(&mut self, us: i64) {
         let now = ClientTime::from_micros(us);
+        let is_check_due = self.is_check_due(us);
         let [a, b] = &mut self.seats;
         self.solved = [a.tool, b.tool];
         self.solves += 1;
@@ -237,8 +252,9 @@ impl TwoHands {
             let [first, second] = solve_both(one, now, &self.solved, budget);
             (a.contact, b.contact) = (first, second);
             let touches = first.in_contact() || second.in_contact();
-            if touches && us / TICK_US - self.checked >= self.pace.check_every {
+            if touches && is_check_due {
                 self.checked = us / TICK_US;
+                self.checked_tools = self.solved;
                 let budget = Budget::new(check::ITERATIONS, check::TOLERANCE);
                 let converged = solve_both(one, now, &self.solved, budget);
                 let residual = one.haptic_residual().unwrap_or(f64::INFINITY);
