@@ -61,7 +61,7 @@ impl Figures {
             Some(n) => format!("thin {:.0} kbit/s, {n} nodes wait", self.down_kbit_s),
         };
         format!(
-            "{:6.1} s | {hand}rtt {rtt}, loss {:4.1} %, D {:5.1} ms | {subscription} | {} here, {} cuts{link_lost}{part}",
+            "{:6.1} s | {hand}rtt {rtt}, loss {:4.1} %, D {:5.1} ms | {subscription} | {} here, tissue version {}{link_lost}{part}",
             self.seconds,
             self.loss * 100.0,
             self.replica.delay.as_millis_f64(),

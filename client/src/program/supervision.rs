@@ -40,7 +40,9 @@ pub(super) struct Supervision<'a> {
 impl Supervision<'_> {
     pub(super) fn report_joined(&mut self) {
         let welcome = &self.network.session.welcome;
-        let others = welcome.roster.len().saturating_sub(1);
+        let roster = welcome.roster.iter();
+        let others = roster.filter(|entry| entry.participant != welcome.participant);
+        let others = others.count();
         let sentence = format!(
             "joined as {} ({}), {others} others here, {} operations so far",
             self.options.name, welcome.role, welcome.operations_so_far

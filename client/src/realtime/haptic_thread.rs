@@ -7,7 +7,7 @@ use std::sync::mpsc;
 
 use palpate_device::HapticDevice;
 use palpate_haptics::{Chain, ContactModel};
-use palpate_protocol::Span;
+use palpate_protocol::{ClientTime, Span};
 use palpate_transport::threads::{self, Scheduling, ThreadClass};
 use triple_buffer::{Input, Output, triple_buffer};
 
@@ -78,7 +78,7 @@ pub fn spawn(
         stop: AtomicBool::new(false),
         link_lost: AtomicBool::new(false),
     });
-    let (models_in, models_out) = triple_buffer(&ContactModel::FREE);
+    let (models_in, models_out) = triple_buffer(&ContactModel::absent_at(ClientTime::ZERO, 0));
     let (newest_in, newest_out) = triple_buffer(&frame);
     let (stats_in, stats_out) = triple_buffer(&LoopStats::default());
     let (ring_in, ring_out) = rtrb::RingBuffer::new(RING_FRAMES);

@@ -70,6 +70,14 @@ impl EntrySurface {
         mean.try_normalize(1e-6).map(|n| -n)
     }
 
+    /// Whether a direction leads out of the surface at every point near it. The blade would reach into the tissue from its far end.
+    fn points_outwards(&self, entry: &StrokeEntry, given: &Vec3) -> bool {
+        let points = entry.points_mm.iter().map(|p| Vec3::from(*p) / MM);
+        let places = points.filter(|at| at.iter().all(|v| v.is_finite()));
+        let mut near = places.filter_map(|at| self.inwards(&at)).peekable();
+        near.peek().is_some() && near.all(|inwards| inwards.dot(given) < 0.0)
+    }
+
     /// The stroke of the blade; on an impossible one, the reason.
     pub(super) fn stroke(&self, entry: &StrokeEntry) -> Result<CutStroke, String> {
         let count = entry.points_mm.len();
@@ -84,6 +92,13 @@ impl EntrySurface {
             ));
         }
         let given = entry.direction.map(direction).transpose()?;
+        if let (Some(given), Some(own)) = (&given, entry.direction)
+            && self.points_outwards(entry, given)
+        {
+            return Err(format!(
+                "the direction {own:?} points out of the tissue at every point; turn it round, or leave it out"
+            ));
+        }
         let depths = depths(&entry.depth_mm, count)?;
         let above = ABOVE * self.spacing_m;
         let mut points = Vec::with_capacity(count);
@@ -234,6 +249,10 @@ mod tests {
             "2 points and 1 depths",
         );
         refused(&|e| e.direction = Some([0.0; 3]), "has no length");
+        refused(
+            &|e| e.direction = Some([0.1, 0.0, 1.0]),
+            "points out of the tissue",
+        );
         refused(
             &|e| e.direction = Some([f64::INFINITY, 0.0, 0.0]),
             "has no length",

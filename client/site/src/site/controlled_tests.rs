@@ -16,6 +16,7 @@ fn at() -> palpate_device::Pose {
 
 fn is_felt(site: &mut Site, t: i64) -> bool {
     let model = site.haptic_step(ms(t), at(), 0, budget()).unwrap();
+    assert_eq!(model.is_absent, site.is_muted() || site.is_frozen());
     model.in_contact()
 }
 

@@ -375,7 +375,7 @@ fn demoted_hand_has_no_force_until_restored() {
     };
     let felt = |site: &mut Site, t: i64| {
         let model = site.haptic_step(ms(t), at, 0, budget()).unwrap();
-        model != palpate_haptics::ContactModel::free_at(ms(t), 0)
+        model != palpate_haptics::ContactModel::absent_at(ms(t), 0)
     };
     assert!(felt(&mut site, 10));
     let kind = OperationKind::Demoted {
