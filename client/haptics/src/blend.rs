@@ -120,14 +120,15 @@ impl Blend {
         &self.model
     }
 
-    /// When the model was accepted.
+    /// The time at which the chain accepted the model.
     pub(crate) fn taken_at(&self) -> ClientTime {
         self.began
     }
 
     /// Accepts `model`, which is usable, if it is new or its contact has begun or ended; returns whether it did.
     pub(crate) fn take(&mut self, model: &ContactModel, now: ClientTime, motion: &Motion) -> bool {
-        let id = |m: &ContactModel| (m.topology_version, m.solved_at, m.in_contact());
+        let contact = |m: &ContactModel| (m.is_absent, m.in_contact());
+        let id = |m: &ContactModel| (m.topology_version, m.solved_at, contact(m));
         if id(model) == id(&self.model) {
             return false;
         }

@@ -25,6 +25,10 @@ const DT_UP_MAX: Span = Span::from_millis(10);
 /// non-finite one: sums could overflow and persist in the state.
 const SAMPLE_MAX: f64 = 1e3;
 
+/// Force, N, with which a contact begins that the hand has not entered itself. A touch with less force is felt at once, also after
+/// a late model.
+const BEGINS_N: f64 = 0.1;
+
 /// Maximum deviation of a quaternion's norm from one. Larger deviations would scale the levers.
 const QUATERNION_OFF: f64 = 1e-3;
 
@@ -119,7 +123,7 @@ pub struct Chain {
     contact_points: ContactPoints,
     /// `None` when switched off.
     passivity: Option<Passivity>,
-    /// Whether the tissue has closed around a tool that was inside already; until the end of the soft start.
+    /// Whether the tool was inside the tissue when its force began, until the end of the soft start or of the contact.
     begins_inside: bool,
     slew: WrenchSlew,
     observer: EnergyObserver,
@@ -271,9 +275,9 @@ impl Chain {
         } else {
             &newest.without_contact()
         };
-        let was_absent = self.is_absent(now);
+        let may_have_sunk_in = self.may_have_sunk_in(now, newest);
         if self.blend.take(valid, now, &motion) {
-            if was_absent && self.blend.model().in_contact() {
+            if may_have_sunk_in && self.blend.model().in_contact() {
                 self.begins_inside = true;
                 self.soft_start.lower_to(0.0);
             }
@@ -412,10 +416,12 @@ impl Chain {
         }
     }
 
-    /// Whether the hand may move into the tissue without a force: the tool takes no part, or no model has come since it was free.
-    fn is_absent(&self, now: ClientTime) -> bool {
+    /// Whether the hand may have moved into the tissue without a force before `newest`: the tool took no part, or no model came
+    /// for long after one without contact, and a force begins now.
+    fn may_have_sunk_in(&self, now: ClientTime, newest: &ContactModel) -> bool {
         let model = self.blend.model();
-        model.is_absent || !model.in_contact() && self.watchdog.is_lost(now - self.blend.taken_at())
+        let is_late = self.watchdog.is_lost(now - self.blend.taken_at());
+        model.is_absent || !model.in_contact() && is_late && newest.force().norm() > BEGINS_N
     }
 
     /// Gain of the watchdog, and gain of soft start and link guard.
@@ -441,7 +447,7 @@ impl Chain {
         events.set(Events::LEFT_RADIUS, has_left);
         events.set(Events::LINK_LOST, self.link.is_lost());
         events.set(Events::SOFT_START, soft < 1.0);
-        self.begins_inside &= soft < 1.0;
+        self.begins_inside &= soft < 1.0 && self.blend.model().in_contact();
         [gain, link * soft]
     }
 

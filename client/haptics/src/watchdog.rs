@@ -99,7 +99,7 @@ impl Watchdog {
 
     /// Whether a model of this age gives no force.
     pub(crate) fn is_lost(&self, age: Span) -> bool {
-        self.gain_of_age(age) == 0.0
+        age >= self.config.stale_zero
     }
 
     fn gain_of_age(&self, age: Span) -> f64 {

@@ -209,6 +209,9 @@ impl ReplicaLoop {
         while self.ending.is_none() && park_until(deadline) {
             self.guarded(Self::handle_events);
             self.view();
+            if self.has_built {
+                return;
+            }
         }
         sleep_until(deadline);
     }

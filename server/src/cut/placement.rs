@@ -19,6 +19,9 @@ const ABOVE: f64 = 1.0;
 /// Largest distance, in spacings, of a point without direction from the surface that gives it its direction.
 const SURFACE_REACH: f64 = 5.0;
 
+/// Product with the inward normal below which a direction points out of the surface. Normals near edges are this uncertain.
+const OUTWARDS: f64 = -0.3;
+
 /// The outer surface of a model without the walls of wounds, for the direction of strokes.
 pub(super) struct EntrySurface {
     grid: TriangleGrid,
@@ -75,7 +78,7 @@ impl EntrySurface {
         let points = entry.points_mm.iter().map(|p| Vec3::from(*p) / MM);
         let places = points.filter(|at| at.iter().all(|v| v.is_finite()));
         let mut near = places.filter_map(|at| self.inwards(&at)).peekable();
-        near.peek().is_some() && near.all(|inwards| inwards.dot(given) < 0.0)
+        near.peek().is_some() && near.all(|inwards| inwards.dot(given) < OUTWARDS)
     }
 
     /// The stroke of the blade; on an impossible one, the reason.
@@ -96,7 +99,7 @@ impl EntrySurface {
             && self.points_outwards(entry, given)
         {
             return Err(format!(
-                "the direction {own:?} points out of the tissue at every point; turn it round, or leave it out"
+                "the direction {own:?} points out of the tissue at every point near the surface; turn it round, or leave it out"
             ));
         }
         let depths = depths(&entry.depth_mm, count)?;

@@ -170,10 +170,7 @@ impl TwoHands {
                 continue;
             }
             let is_cut = self.take(us, &samples)?;
-            if is_cut
-                || tick - last >= self.pace.at_least
-                || self.has_moved(&self.solved, self.pace.moved_m)
-            {
+            if is_cut || tick - last >= self.pace.at_least || self.has_moved() {
                 self.solve(us);
                 last = tick;
             } else {
@@ -225,17 +222,20 @@ impl TwoHands {
         Ok(self.cut.len() > before)
     }
 
-    /// Whether a tool has moved by more than `by_m` since it was `before`, or its buttons changed.
-    fn has_moved(&self, before: &[ToolAt; 2], by_m: f64) -> bool {
+    /// Whether a tool or its buttons changed since the last solve.
+    fn has_moved(&self) -> bool {
         let tools = self.seats.iter().map(|seat| &seat.tool);
-        let mut both = tools.zip(before);
-        both.any(|(tool, before)| !tool.is_within(before, by_m))
+        let mut both = tools.zip(&self.solved);
+        both.any(|(tool, solved)| !tool.is_within(solved, self.pace.moved_m))
     }
 
     /// Whether a check is due.
     fn is_check_due(&self, us: i64) -> bool {
+        let has_moved = |(seat, checked): (&Seat, &ToolAt)| {
+            seat.contact.in_contact() && !seat.tool.is_within(checked, self.pace.check_moved_m)
+        };
         us / TICK_US - self.checked >= self.pace.check_every
-            || self.has_moved(&self.checked_tools, self.pace.check_moved_m)
+            || self.seats.iter().zip(&self.checked_tools).any(has_moved)
     }
 
     fn solve(&mut self, us: i64) {
