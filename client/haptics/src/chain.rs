@@ -25,9 +25,10 @@ const DT_UP_MAX: Span = Span::from_millis(10);
 /// non-finite one: sums could overflow and persist in the state.
 const SAMPLE_MAX: f64 = 1e3;
 
-/// Force, N, with which a contact begins that the hand has not entered itself. A touch with less force is felt at once, also after
-/// a late model.
+/// Force, N, above which the hand has not entered a contact itself that a late model shows, and the time for which the solver
+/// may still find it. A touch with less force is felt at once.
 const BEGINS_N: f64 = 0.1;
+const APPEARS: Span = Span::from_millis(150);
 
 /// Maximum deviation of a quaternion's norm from one. Larger deviations would scale the levers.
 const QUATERNION_OFF: f64 = 1e-3;
@@ -123,7 +124,9 @@ pub struct Chain {
     contact_points: ContactPoints,
     /// `None` when switched off.
     passivity: Option<Passivity>,
-    /// Whether the tool was inside the tissue when its force began, until the end of the soft start or of the contact.
+    /// When contact began that the hand may not have entered itself; `None` once its force is known.
+    appeared: Option<ClientTime>,
+    /// Whether the tool was inside the tissue when its force began, until the end of the soft start.
     begins_inside: bool,
     slew: WrenchSlew,
     observer: EnergyObserver,
@@ -180,6 +183,7 @@ impl Chain {
             passivity: config
                 .passivity
                 .then(|| Passivity::new(slew.force.step(), slew.torque.step(), config.period)),
+            appeared: None,
             begins_inside: false,
             slew,
             observer: EnergyObserver::default(),
@@ -275,12 +279,9 @@ impl Chain {
         } else {
             &newest.without_contact()
         };
-        let may_have_sunk_in = self.may_have_sunk_in(now, newest);
+        let may_have_sunk_in = self.may_have_sunk_in(now);
         if self.blend.take(valid, now, &motion) {
-            if may_have_sunk_in && self.blend.model().in_contact() {
-                self.begins_inside = true;
-                self.soft_start.lower_to(0.0);
-            }
+            self.follow_appearance(now, may_have_sunk_in);
             self.solved_at = self.in_own_time(newest.solved_at, now);
         }
         let (wrench, planes) = self.contact_points.tick(&self.blend, now, dt, &motion);
@@ -416,12 +417,28 @@ impl Chain {
         }
     }
 
-    /// Whether the hand may have moved into the tissue without a force before `newest`: the tool took no part, or no model came
-    /// for long after one without contact, and a force begins now.
-    fn may_have_sunk_in(&self, now: ClientTime, newest: &ContactModel) -> bool {
+    /// Whether the hand may have moved into the tissue without a force: the tool took no part, or no model came for long after
+    /// one without contact.
+    fn may_have_sunk_in(&self, now: ClientTime) -> bool {
         let model = self.blend.model();
         let is_late = self.watchdog.is_lost(now - self.blend.taken_at());
-        model.is_absent || !model.in_contact() && is_late && newest.force().norm() > BEGINS_N
+        model.is_absent || !model.in_contact() && is_late
+    }
+
+    /// Begins the force again, over the soft start, where a new model shows that the tool was inside. The first solves may have
+    /// too little force.
+    fn follow_appearance(&mut self, now: ClientTime, may_have_sunk_in: bool) {
+        let model = self.blend.model();
+        if may_have_sunk_in {
+            self.appeared = Some(now);
+        }
+        let is_recent = |since: ClientTime| now - since < APPEARS;
+        self.appeared = (self.appeared).filter(|t| model.in_contact() && is_recent(*t));
+        if self.appeared.is_some() && model.force().norm() > BEGINS_N {
+            self.appeared = None;
+            self.begins_inside = true;
+            self.soft_start.lower_to(0.0);
+        }
     }
 
     /// Gain of the watchdog, and gain of soft start and link guard.
@@ -447,7 +464,7 @@ impl Chain {
         events.set(Events::LEFT_RADIUS, has_left);
         events.set(Events::LINK_LOST, self.link.is_lost());
         events.set(Events::SOFT_START, soft < 1.0);
-        self.begins_inside &= soft < 1.0 && self.blend.model().in_contact();
+        self.begins_inside &= soft < 1.0;
         [gain, link * soft]
     }
 

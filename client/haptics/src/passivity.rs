@@ -40,9 +40,9 @@
 //! Stored energy and debts decay after the contact, not at once, because a model without contact may arrive between
 //! two with one: a tool off an elastic tissue has got back all its work. The tank holds at most the force over the
 //! depth of any press, so that work lost to friction can not feed a later oscillation. After an unobserved motion
-//! (a fault, a jump) the tissue is assumed to store the energy of a spring, |F|²/(2 K). The same is assumed, once, where the tool
-//! was already inside when its force began (after a pause of the session, or a late join). Otherwise the hand would get no
-//! force, and a hand without force earns no energy.
+//! (a fault, a jump) the tissue is assumed to store the energy of a spring, |F|²/(2 K). The same holds where the tool was
+//! already inside when its force began (after a pause of the session, or a late join), less what the hand has put in since.
+//! Otherwise the hand would get no force, and a hand without force earns no energy.
 
 use nalgebra::Vector3;
 use palpate_device::{Pose, Wrench};
@@ -69,8 +69,8 @@ const JUMP_RAD_S: f64 = 100.0;
 const DEPTH_M: f64 = 0.05;
 /// The same for a rotation, rad: that depth at the end of an equally long lever.
 const TURN_RAD: f64 = 1.0;
-/// Softer contacts store no energy, N/m: friction alone has no stiffness along the normal.
-const SOFTEST_N_PER_M: f64 = 20.0;
+/// Smallest stiffness of tissue for which energy is assumed, N/m.
+const SOFTEST_N_PER_M: f64 = 1.0;
 /// Sampling times of two simultaneous ramps. A ramp has at most 50 ticks, and its work is smooth.
 const RAMP_SAMPLES: usize = 16;
 /// Bisections of the common factor: to a millionth.
@@ -127,7 +127,7 @@ pub(crate) struct Passivity {
     external_tank_j: f64,
     /// Net work that the hand would have done against the withheld wrench, J.
     withheld_j: f64,
-    /// Energy assumed for the tool that was inside when its force began, J.
+    /// For a tool that was inside when its force began: the energy assumed, and the hand's net work since, J.
     assumed_j: f64,
     /// Capacity of each of them, J.
     capacity_j: f64,
@@ -175,8 +175,8 @@ impl Passivity {
         self.external_tank_j = (self.external_tank_j + external_work_j - before).max(0.0);
     }
 
-    /// Accounts for the motion of the tool since the last tick. `begins_inside` tells whether the tool was inside the tissue
-    /// when its force began, until the force is complete.
+    /// Accounts for the motion of the tool since the last tick. `begins_inside`: whether the tool was inside the tissue when
+    /// its force began, until the force is complete.
     pub(crate) fn observe(&mut self, seen: &ToolState, begins_inside: bool) {
         let there = &seen.there;
         let room = RESERVE_J + there.force.norm() * DEPTH_M + there.torque.norm() * TURN_RAD;
@@ -198,20 +198,30 @@ impl Passivity {
                 self.tank_j += std::mem::take(&mut self.withheld_j);
             }
         }
-        let spring_j =
-            |stiffness_n_per_m: f64| 0.5 * there.force.norm_squared() / stiffness_n_per_m;
-        if observed.is_none() {
-            let stored = spring_j(seen.stiffness_n_per_m.max(1.0));
-            self.withheld_j = self.withheld_j.max(stored);
-        }
+        let n = there.force.norm();
+        let spring_j = 0.5 * n * (n / seen.stiffness_n_per_m.max(SOFTEST_N_PER_M)).min(DEPTH_M);
         if !begins_inside {
             self.assumed_j = 0.0;
-        } else if seen.stiffness_n_per_m >= SOFTEST_N_PER_M {
-            let more = (spring_j(seen.stiffness_n_per_m) - self.assumed_j).max(0.0);
+            if observed.is_none() {
+                self.withheld_j = self.withheld_j.max(spring_j);
+            }
+            return self.settle();
+        }
+        if let Some(last) = observed {
+            self.assumed_j -= work(&last.wrench, &last.pose, &seen.pose);
+            self.assumed_j -= work(&last.withheld, &last.pose, &seen.pose);
+        }
+        // Friction alone has no stiffness along the normal, and stores nothing.
+        if seen.stiffness_n_per_m >= SOFTEST_N_PER_M {
+            let more = (spring_j - self.assumed_j).max(0.0);
             self.assumed_j += more;
             self.withheld_j += more;
         }
-        // The work that other participants have done on this hand is paid from their tank.
+        self.settle();
+    }
+
+    /// Pays debts from the work of other participants, and limits all accounts to their capacity.
+    fn settle(&mut self) {
         let debt = (-self.tank_j).max(0.0).min(self.external_tank_j);
         self.tank_j += debt;
         self.external_tank_j -= debt;

@@ -196,6 +196,7 @@ impl ReplicaLoop {
             charged = cpu;
             if std::mem::take(&mut self.has_built) {
                 (budget, rest) = (class.budget(), Span::ZERO);
+                deadline = now;
             }
             // Missed periods after a long solve are skipped.
             deadline = (deadline + period).max(now + rest);
@@ -541,6 +542,7 @@ impl ReplicaLoop {
 fn remove_force(model: &mut ContactModel) {
     *model = ContactModel {
         is_inserted: model.is_inserted,
+        external_work_j: model.external_work_j,
         ..ContactModel::absent_at(model.solved_at, model.topology_version)
     };
 }

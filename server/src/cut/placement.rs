@@ -19,7 +19,7 @@ const ABOVE: f64 = 1.0;
 /// Largest distance, in spacings, of a point without direction from the surface that gives it its direction.
 const SURFACE_REACH: f64 = 5.0;
 
-/// Product with the inward normal below which a direction points out of the surface. Normals near edges are this uncertain.
+/// Product with the inward normal below which a direction points out of the surface. Averaged normals near edges need some tolerance.
 const OUTWARDS: f64 = -0.3;
 
 /// The outer surface of a model without the walls of wounds, for the direction of strokes.

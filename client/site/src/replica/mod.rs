@@ -338,6 +338,7 @@ impl Replica {
         let free = ContactModel {
             is_inserted: own.is_some_and(ToolAt::is_inserted),
             was_cutting: own.and_then(ToolAt::blade_cuts),
+            external_work_j: self.others.work_j,
             ..ContactModel::free_at(now, version)
         };
         let Some(tissue) = self.haptic.tissue_mut() else {
