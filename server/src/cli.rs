@@ -59,7 +59,7 @@ The strokes file lists the strokes in order. Lengths are in mm:
   [[stroke]]
   points_mm = [[-30.0, 65.5, 100.0], [0.0, 73.2, 100.0], [30.0, 66.0, 100.0]]
   depth_mm = 25.0                     # below the points; or a list with one depth per point
-  width_mm = 0.3                      # of the wound at its top, at rest: at most 0.1 spacings; default 0: closed
+  width_mm = 0.3                      # of the wound at its top, at most 0.1 spacings; default 0
   direction = [0.0, -1.0, 0.0]        # of the depth; default: the inward normal at each point
 
 A stroke has 2 to 4096 points on the surface; give a direction if its path leaves the model. A
