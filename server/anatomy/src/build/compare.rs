@@ -186,7 +186,7 @@ pub(super) fn regions(compared: &Compared<'_>) -> (Vec<RegionReport>, Vec<Stray>
     let reports = (0..regions)
         .map(|r| {
             let overlap = &compared.overlap.volumes[r];
-            let [whole, crumbs] = input_components[r];
+            let counts = input_components[r];
             let mut model_side = SoundDistances::default();
             for (face, &(middle, thin)) in faces.iter().zip(&in_middles) {
                 if usize::from(face.region) == r || usize::from(face.other) == r {
@@ -216,8 +216,9 @@ pub(super) fn regions(compared: &Compared<'_>) -> (Vec<RegionReport>, Vec<Stray>
                 difference_part: overlap.difference_part(),
                 components: components[r],
                 surface: surfaces[r],
-                input_components: whole,
-                input_crumbs: crumbs,
+                input_components: counts.components,
+                input_crumbs: counts.crumbs,
+                input_crumbs_kept: counts.crumbs_kept,
                 surface_distance_mean_mm: from_input.mean * 1e3,
                 surface_distance_p99_mm: from_input.p99 * 1e3,
                 surface_distance_max_mm: from_input.max * 1e3,

@@ -121,7 +121,7 @@ fn of_region(
 }
 
 fn of_pieces(region: &RegionReport) -> Option<String> {
-    (region.components > region.input_components).then(|| {
+    (region.components > region.input_components + region.input_crumbs_kept).then(|| {
         format!(
             "region {:?} is in {} pieces where its input has {}: it is thinner than the spacing between them",
             region.name, region.components, region.input_components

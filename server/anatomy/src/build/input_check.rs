@@ -60,7 +60,8 @@ pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), InputError
     )))
 }
 
-/// Rejects regions that are far from all others, and warns of regions that stick out of the first one.
+/// Rejects regions that are farther from all others than these are across, and warns of regions beside the others and of
+/// those that stick out of the first one.
 pub(super) fn nesting(
     input: &SceneInput,
     spacing: f64,
@@ -75,19 +76,31 @@ pub(super) fn nesting(
     let boxes: Vec<Option<Aabb>> = input.surfaces.iter().map(Surface::aabb).collect();
     for (r, surface) in input.surfaces.iter().enumerate().skip(1) {
         let Some(own) = boxes[r] else { continue };
-        let others = boxes.iter().enumerate().filter(|(o, _)| *o != r);
-        let gap = others
-            .filter_map(|(_, b)| b.map(|b| gap(&own, &b)))
+        let others = (0..boxes.len()).filter(|o| *o != r);
+        let others = || others.clone().filter_map(|o| boxes[o]);
+        let gap = others()
+            .map(|b| gap(&own, &b))
             .fold(f64::INFINITY, f64::min);
-        if gap > spacing {
+        let ends: Vec<Vec3> = others().flat_map(|b| [b.min, b.max]).collect();
+        let reach = Aabb::around(&ends).map_or(0.0, |b| b.extent().max());
+        if gap > reach {
             let side = |a: usize| format!("{:.0}..{:.0}", own.min[a] * 1e3, own.max[a] * 1e3);
             let at = format!("x {}, y {}, z {} mm", side(0), side(1), side(2));
             return Err(InputError::new(format_args!(
                 "region {:?} lies wholly outside the others, the outermost region {:?} among them (it \
-                 spans {at}); check its unit and whether all files are in one frame",
+                 spans {at}), and farther from them than they are across; check its unit and whether all files are in \
+                 one frame",
                 name(r),
                 name(0)
             )));
+        }
+        if gap > spacing {
+            warnings.push(format!(
+                "region {:?} lies {:.1} mm beside the others, as a part of its own; if that is not intended, check its \
+                 unit and whether all files are in one frame",
+                name(r),
+                gap * 1e3
+            ));
         }
         let out = sticking_out(input, spacing, query, r);
         let all = surface.triangles.len();

@@ -123,7 +123,7 @@ fn is_wound_alike(surface: &Surface) -> bool {
 }
 
 /// The axis along which the surface shows the largest area.
-fn facing(surface: &Surface) -> usize {
+pub(super) fn facing(surface: &Surface) -> usize {
     let mut shown = Vec3::zeros();
     for t in 0..surface.triangles.len() {
         let [a, b, c] = surface.corners(t);

@@ -9,6 +9,7 @@ use super::bridge;
 use super::grid::Grid;
 use super::label::Labels;
 use super::lattice::{cell_at, face_neighbours};
+use super::parts::ClosedParts;
 use super::walls::Walls;
 use crate::Aabb;
 
@@ -58,7 +59,7 @@ pub(super) fn mend_all(
     grid: &Grid,
     labels: &mut Labels,
     walls: &Walls,
-    parts: &[Vec<Aabb>],
+    parts: &[ClosedParts],
 ) -> Mending {
     let mut mending = Mending::default();
     for _ in 0..ROUNDS {
@@ -299,7 +300,7 @@ pub(super) fn pieces(
 }
 
 /// Gives islands of a region that are too small to be intended to the surrounding regions.
-fn drop_islands(grid: &Grid, labels: &mut Labels, parts: &[Vec<Aabb>], mending: &mut Mending) {
+fn drop_islands(grid: &Grid, labels: &mut Labels, parts: &[ClosedParts], mending: &mut Mending) {
     let (piece_of, sizes) = pieces(grid, labels, |a, b| a == b);
     let mut label_of = vec![0_u8; sizes.len()];
     for (cell, &piece) in piece_of.iter().enumerate() {
@@ -327,7 +328,7 @@ fn drop_islands(grid: &Grid, labels: &mut Labels, parts: &[Vec<Aabb>], mending: 
     }
     for (piece, Dropped { cells, around }) in dropped {
         let label = label_of[piece as usize];
-        if stands_for_a_part(grid, &cells, &parts[label as usize - 1]) {
+        if stands_for_a_part(grid, &cells, &parts[label as usize - 1].boxes) {
             continue;
         }
         let commonest = around
@@ -406,6 +407,7 @@ fn drop_crumbs(grid: &Grid, labels: &mut Labels, mending: &mut Mending) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Surface;
     use std::collections::BTreeSet;
 
     use proptest::prelude::*;
@@ -464,7 +466,8 @@ mod tests {
                 labels.second[cell] = second;
                 labels.margin[cell] = margin;
             }
-            mend_all(&grid, &mut labels, &Walls::default(), &[const { Vec::new() }; 3]);
+            let parts = [(); 3].map(|()| ClosedParts::of(&Surface::default()));
+            mend_all(&grid, &mut labels, &Walls::default(), &parts);
             let table: [bool; 256] = std::array::from_fn(|block| manifold(block as u8));
             for at in 0..9 * 9 * 9 {
                 let cells = block_cells(&grid, [at % 9, at / 9 % 9, at / 81]);

@@ -20,6 +20,7 @@ mod bridge;
 mod bvh;
 mod compare;
 mod component_loss;
+mod components;
 mod constraint;
 mod contact_change;
 mod deviations;
@@ -46,6 +47,7 @@ mod region_surfaces;
 mod relax;
 mod report;
 mod rim;
+mod small_parts;
 mod snap;
 mod spacing;
 mod strands;
@@ -73,10 +75,11 @@ pub use surface_faults::{FaultKind, SurfaceFault};
 pub use thin::{THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts};
 
 use crate::scene::{Scene, SceneInput};
-use crate::{Aabb, InputError, Surface};
+use crate::{InputError, Surface};
 use grid::Grid;
 use palpate_tissue::cell::NO_CELL;
 use palpate_tissue::{Model, TopologyHash, Vec3};
+use parts::ClosedParts;
 
 /// Most grid cells of one build. A cell of the grid costs about 10 bytes until nodes are placed, so
 /// this is 4 GB; beyond it the build is rejected with the spacing that would fit.
@@ -108,11 +111,11 @@ pub fn build(
     let query = inside::PointQuery::new(&surfaces, grid.middle(), spacing);
     input_check::nesting(input, spacing, &query, &mut warnings)?;
     let mut walls = walls::Walls::default();
-    let rays = overlap::InputRays::of(input, &grid, &surfaces);
+    let parts: Vec<ClosedParts> = surfaces.iter().map(|s| ClosedParts::of(s)).collect();
+    let rays = overlap::InputRays::of(input, &grid, &surfaces, &parts, &query);
     let (mut input_volumes, folds) = label::resolved_volumes(&grid, &surfaces, &rays, &mut walls);
     let faulty = input_check::folds(input, &folds, &mut warnings);
     prefer_voxels(&mut input_volumes, input);
-    let parts: Vec<Vec<Aabb>> = surfaces.iter().map(|s| parts::parts(s)).collect();
 
     progress("casting rays", 0.1);
     let (mut labels, parts_of) = label::label(&grid, &surfaces, &mut walls);

@@ -10,10 +10,14 @@ use nalgebra::Matrix3;
 use palpate_tissue::{Model, RegionId, Vec3};
 use rayon::prelude::*;
 
+use super::components::{Component, KnownParts, PartWalls, Shared, components, merge};
 use super::faces::Face;
 use super::grid::Grid;
+use super::inside::PointQuery;
 use super::layers::surface_of;
+use super::parts::ClosedParts;
 use super::rays::{Hits, Rays, cast_at};
+use super::small_parts::{SmallPart, small_parts};
 use super::strands::{Strand, Strands, Touching};
 use crate::Surface;
 use crate::labels::{Affine, VoxelRuns};
@@ -35,6 +39,9 @@ pub(super) struct InputRays {
     rows: Option<Rows>,
     /// For each surface, the part of its rays that no later region covers. Empty with voxels.
     kept: Vec<f64>,
+    /// Closed parts that are measured by lines of their own. None with voxels.
+    small: Vec<SmallPart>,
+    known: KnownParts,
 }
 
 /// Rows of voxels.
@@ -45,6 +52,10 @@ struct Rows {
     /// Distance of rays in rows.
     step: [f64; 2],
 }
+
+/// Hits of rays below which a closed part is measured by lines of its own: a ball three spacings across has twice as many
+/// hits as rays meet it, 64.
+const FEW_HITS: u32 = 128;
 
 /// Rays across a cell, along y and along z.
 const RAYS_ACROSS: usize = 3;
@@ -90,20 +101,6 @@ impl Volumes {
     }
 }
 
-/// A connected component of a region of the input, less what later regions take.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Component {
-    pub(super) region: u8,
-    /// Volume in m³.
-    pub(super) volume: f64,
-    /// Part of the volume that the model's region has in common with it.
-    pub(super) kept: f64,
-    /// The middle of its longest stretch: a point inside.
-    pub(super) at: Vec3,
-    /// The component of the model's region that has most of it.
-    pub(super) within: Option<u32>,
-}
-
 /// The model against its input.
 pub(super) struct Overlap {
     /// Of each region.
@@ -113,15 +110,26 @@ pub(super) struct Overlap {
 
 impl InputRays {
     /// Rays through the voxels of a scene, or through its surfaces where not all regions come from one label volume.
-    pub(super) fn of(input: &SceneInput, grid: &Grid, surfaces: &[&Surface]) -> Self {
+    pub(super) fn of(
+        input: &SceneInput,
+        grid: &Grid,
+        surfaces: &[&Surface],
+        parts: &[ClosedParts],
+        query: &PointQuery,
+    ) -> Self {
         match &input.voxels {
             Some(voxels) => Self::of_voxels(voxels, grid.spacing),
-            None => Self::of_surfaces(grid, surfaces),
+            None => Self::of_surfaces(grid, surfaces, parts, query),
         }
     }
 
     /// Rays along x, because the cells were chosen by rays along z. Their rows are turned about x.
-    fn of_surfaces(grid: &Grid, surfaces: &[&Surface]) -> Self {
+    fn of_surfaces(
+        grid: &Grid,
+        surfaces: &[&Surface],
+        parts: &[ClosedParts],
+        query: &PointQuery,
+    ) -> Self {
         let step = grid.spacing / RAYS_ACROSS as f64;
         let cosine = 1.0 / (1.0 + ROWS_SLOPE * ROWS_SLOPE).sqrt();
         let sine = ROWS_SLOPE * cosine;
@@ -148,9 +156,19 @@ impl InputRays {
             .iter()
             .map(|s| cast_at(&frame.placed(&s.vertices), &s.triangles, &frame.rays))
             .collect();
-        let strands = Strands::of_hits(&hits, &frame.rays, 0.0, 1.0);
+        let mut strands = Strands::of_hits(&hits, &frame.rays, 0.0, 1.0);
+        let kept = strands.kept(&hits);
+        let walls = PartWalls::of(&strands, &hits, &frame.rays, parts);
+        let small = surfaces.iter().enumerate().flat_map(|(region, surface)| {
+            let is_small = |part| walls.hits(region, part) < FEW_HITS;
+            let query = (query, grid.spacing);
+            small_parts(region, surface, &parts[region], query, is_small)
+        });
+        let small: Vec<SmallPart> = small.collect();
         Self {
-            kept: strands.kept(&hits),
+            kept,
+            known: walls.join(&mut strands, &small),
+            small,
             strands,
             frame,
             rows: None,
@@ -200,6 +218,8 @@ impl InputRays {
                 step,
             }),
             kept: Vec::new(),
+            small: Vec::new(),
+            known: KnownParts::default(),
         }
     }
 
@@ -252,60 +272,39 @@ impl InputRays {
         }
         let mut shared: Vec<Shared> = rows.into_iter().flat_map(|r| r.shared).collect();
         merge(&mut shared);
+        let mut components = self.components(&shared);
+        components.append(&mut self.small_components(model, faces, &own));
         Overlap {
             volumes,
-            components: self.components(&shared),
+            components,
         }
     }
 
-    /// The components of the input, in the order of their first strands.
+    /// The components of the input, in the order of their first strands; small parts follow.
     fn components(&self, shared: &[Shared]) -> Vec<Component> {
-        const NONE: u32 = u32::MAX;
+        let point = |row, depth| self.point(row, depth);
         let unit = self.strand_volume();
-        let mut slots = vec![NONE; self.strands.len()];
-        let mut components: Vec<Component> = Vec::new();
-        let mut longest: Vec<f64> = Vec::new();
-        let [width, height] = self.strands.size();
-        for (v, u) in (0..height).flat_map(|v| (0..width).map(move |u| (v, u))) {
-            for (strand, part) in self.strands.of([u, v]) {
-                let slot = &mut slots[part as usize];
-                if *slot == NONE {
-                    *slot = components.len() as u32;
-                    longest.push(0.0);
-                    components.push(Component {
-                        region: strand.region,
-                        volume: 0.0,
-                        kept: 0.0,
-                        at: Vec3::zeros(),
-                        within: None,
-                    });
-                }
-                let (own, longest) = (
-                    &mut components[*slot as usize],
-                    &mut longest[*slot as usize],
-                );
-                let length = strand.to - strand.from;
-                own.volume += length * unit;
-                if length > *longest {
-                    *longest = length;
-                    own.at = self.point([u, v], f64::midpoint(strand.from, strand.to));
-                }
-            }
-        }
-        for same in shared.chunk_by(|a, b| a.input == b.input) {
-            let own = &mut components[slots[same[0].input as usize] as usize];
-            let sum = |common: bool| -> f64 {
-                let lengths = same.iter().filter(|s| s.model.is_some() == common);
-                // The sum of no numbers would be -0.
-                lengths.fold(0.0, |sum, s| sum + s.length)
+        components(&self.strands, shared, &self.known, point, unit)
+    }
+
+    /// The components that small parts are.
+    fn small_components(&self, model: &Model, faces: &[Face], own: &Strands) -> Vec<Component> {
+        let same = self.small.chunk_by(|a, b| a.region == b.region);
+        let components = same.map(|parts| {
+            let region = parts[0].region;
+            let surface = Surface {
+                vertices: model.nodes.clone(),
+                triangles: surface_of(model, faces, RegionId(region.into())),
             };
-            own.kept = sum(true) / sum(false);
-            // At equal volumes the first one, so that the result does not depend on the order of rows.
-            let common = same.iter().rev().filter(|s| s.model.is_some());
-            let most = common.max_by(|a, b| a.length.total_cmp(&b.length));
-            own.within = most.and_then(|s| s.model);
-        }
-        components
+            let is_empty = surface.triangles.is_empty();
+            let middle = self.frame.to_world.origin;
+            let query = (!is_empty).then(|| PointQuery::new(&[&surface], middle, model.spacing_m));
+            let holds = |p| query.as_ref().is_some_and(|query| query.contains(0, p));
+            let piece = |p| self.frame.nearest(own, region, p);
+            let parts = parts.par_iter().map(|part| part.component(holds, piece));
+            parts.collect::<Vec<_>>()
+        });
+        components.flatten().collect()
     }
 }
 
@@ -331,14 +330,30 @@ impl Frame {
         let hits: Vec<Hits> = hits.collect();
         Strands::of_hits(&hits, &self.rays, 0.0, 1.0)
     }
-}
 
-/// Length of rays in a component of the input: of all, or of those in a component of the same region of the model.
-#[derive(Debug, Clone, Copy)]
-struct Shared {
-    input: u32,
-    model: Option<u32>,
-    length: f64,
+    /// The component of the model's region at a point, by the nearest ray that is in the region there.
+    fn nearest(&self, model: &Strands, region: u8, point: Vec3) -> Option<u32> {
+        let place = self.placed(&[point])[0];
+        let sides = [place.y, place.z];
+        let middle = [0, 1].map(|a| (sides[a] - self.rays.first[a]) / self.rays.step);
+        let mut nearest = (f64::INFINITY, None);
+        for near in 0..9 {
+            let ray = [near % 3, near / 3];
+            let ray = [0, 1].map(|a| middle[a].round() + f64::from(ray[a]) - 1.0);
+            if (0..2).any(|a| ray[a] < 0.0 || ray[a] >= self.rays.count[a] as f64) {
+                continue;
+            }
+            let off = (ray[0] - middle[0]).hypot(ray[1] - middle[1]);
+            let inside = |s: &Strand| s.region == region && s.from <= place.x && place.x <= s.to;
+            let mut strands = model.of(ray.map(|r| r as usize));
+            if let Some((_, part)) = strands.find(|(s, _)| inside(s))
+                && off < nearest.0
+            {
+                nearest = (off, Some(part));
+            }
+        }
+        nearest.1
+    }
 }
 
 /// Sums of a row of rays.
@@ -401,19 +416,6 @@ impl RowSums {
     }
 }
 
-/// Sorts by components and adds up the lengths of equal pairs.
-fn merge(shared: &mut Vec<Shared>) {
-    // A stable sort: the sums have one order.
-    shared.sort_by_key(|s| (s.input, s.model));
-    shared.dedup_by(|next, kept| {
-        let same = (next.input, next.model) == (kept.input, kept.model);
-        if same {
-            kept.length += next.length;
-        }
-        same
-    });
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::faces::faces;
@@ -445,7 +447,9 @@ mod tests {
         ] {
             let moved = cuboid(low + shift, high + shift);
             let grid = Grid::around(&[&still, &moved], 4e-3);
-            let rays = InputRays::of_surfaces(&grid, &[&moved]);
+            let query = PointQuery::new(&[&moved], grid.middle(), grid.spacing);
+            let parts = [ClosedParts::of(&moved)];
+            let rays = InputRays::of_surfaces(&grid, &[&moved], &parts, &query);
             let volumes = rays
                 .compare(&model, &faces(&model.cells, &model.lattice))
                 .volumes[0];
@@ -578,7 +582,7 @@ mod tests {
                     if away == 3 { 2 } else { 1 },
                     "{step:?} {spacing}"
                 );
-                let volume: f64 = components.iter().map(|c| c.volume).sum();
+                let volume: f64 = components.iter().map(|c| c.whole.volume).sum();
                 assert!((volume * 1e9 - 16.0).abs() < 1e-9, "{step:?} {volume}");
             }
         }

@@ -3,25 +3,37 @@
 use crate::surface::Sets;
 use crate::{Aabb, Surface};
 
-/// The box around each part of a surface; parts share no vertex.
-pub(super) fn parts(surface: &Surface) -> Vec<Aabb> {
-    let mut sets = Sets::new(surface.vertices.len());
-    for &[a, b, c] in &surface.triangles {
-        sets.join(a, b);
-        sets.join(b, c);
-    }
-    let mut slot = vec![usize::MAX; surface.vertices.len()];
-    let mut boxes: Vec<Aabb> = Vec::new();
-    for &v in surface.triangles.iter().flatten() {
-        let at = surface.vertices[v as usize];
-        let slot = &mut slot[sets.find(v) as usize];
-        if *slot == usize::MAX {
-            *slot = boxes.len();
-            boxes.push(Aabb { min: at, max: at });
+/// The closed parts of a surface; parts share no vertex.
+pub(super) struct ClosedParts {
+    /// The box around each part.
+    pub(super) boxes: Vec<Aabb>,
+    /// The part of each triangle.
+    pub(super) of_triangle: Vec<u32>,
+}
+
+impl ClosedParts {
+    pub(super) fn of(surface: &Surface) -> Self {
+        let mut sets = Sets::new(surface.vertices.len());
+        for &[a, b, c] in &surface.triangles {
+            sets.join(a, b);
+            sets.join(b, c);
         }
-        let own = &mut boxes[*slot];
-        own.min = own.min.inf(&at);
-        own.max = own.max.sup(&at);
+        let mut slot = vec![u32::MAX; surface.vertices.len()];
+        let mut boxes: Vec<Aabb> = Vec::new();
+        let mut part = |triangle: &[u32; 3]| {
+            let slot = &mut slot[sets.find(triangle[0]) as usize];
+            for at in triangle.map(|v| surface.vertices[v as usize]) {
+                if *slot == u32::MAX {
+                    *slot = boxes.len() as u32;
+                    boxes.push(Aabb { min: at, max: at });
+                }
+                let own = &mut boxes[*slot as usize];
+                own.min = own.min.inf(&at);
+                own.max = own.max.sup(&at);
+            }
+            *slot
+        };
+        let of_triangle = surface.triangles.iter().map(&mut part).collect();
+        Self { boxes, of_triangle }
     }
-    boxes
 }

@@ -56,6 +56,8 @@ impl Rays {
 pub(super) struct Hit {
     /// Coordinate along the ray in m.
     pub(super) depth: f64,
+    /// The number of the triangle.
+    pub(super) triangle: u32,
     /// +1 where the ray enters the solid, -1 where it leaves it.
     pub(super) turn: i8,
 }
@@ -148,9 +150,10 @@ pub(super) fn cast(surface: &Surface, rays: &Rays) -> Hits {
 pub(super) fn cast_at(vertices: &[Vec3], triangles: &[[u32; 3]], rays: &Rays) -> Hits {
     let found: Vec<(u32, Hit)> = triangles
         .par_iter()
-        .fold(Vec::new, |mut found, triangle| {
+        .enumerate()
+        .fold(Vec::new, |mut found, (number, triangle)| {
             let corners = triangle.map(|v| vertices[v as usize]);
-            cast_triangle(&corners, rays, &mut found);
+            cast_triangle(number as u32, &corners, rays, &mut found);
             found
         })
         .reduce(Vec::new, |mut all, mut more| {
@@ -159,11 +162,15 @@ pub(super) fn cast_at(vertices: &[Vec3], triangles: &[[u32; 3]], rays: &Rays) ->
         });
     let mut hits = Rows::new(rays.count[0] * rays.count[1], found.iter().copied());
     // At equal depth the order must not depend on the thread that found a hit.
-    hits.sort_rows(|a, b| a.depth.total_cmp(&b.depth).then(b.turn.cmp(&a.turn)));
+    let order = |a: &Hit, b: &Hit| {
+        let depth = a.depth.total_cmp(&b.depth);
+        depth.then((b.turn, a.triangle).cmp(&(a.turn, b.triangle)))
+    };
+    hits.sort_rows(order);
     Hits(hits)
 }
 
-fn cast_triangle(corners: &[Vec3; 3], rays: &Rays, found: &mut Vec<(u32, Hit)>) {
+fn cast_triangle(triangle: u32, corners: &[Vec3; 3], rays: &Rays, found: &mut Vec<(u32, Hit)>) {
     let (u, v) = ((rays.axis + 1) % 3, (rays.axis + 2) % 3);
     let flat = corners.map(|p| [p[u], p[v]]);
     if flat[0] == flat[1] || flat[1] == flat[2] || flat[2] == flat[0] {
@@ -175,24 +182,30 @@ fn cast_triangle(corners: &[Vec3; 3], rays: &Rays, found: &mut Vec<(u32, Hit)>) 
     for j in rays.range(1, low(1), high(1)) {
         for i in rays.range(0, low(0), high(0)) {
             let ray = rays.position([i, j]);
-            if let Some(hit) = hit(corners, &flat, rays.axis, ray) {
+            if let Some(hit) = hit(triangle, corners, &flat, rays.axis, ray) {
                 found.push((rays.index([i, j]) as u32, hit));
             }
         }
     }
 }
 
-/// Intersection of the line along `axis` through `at` (u, v) with a triangle.
+/// Intersection of the line along `axis` through `at` (u, v) with a triangle, which has number 0.
 pub(super) fn hit_at(corners: &[Vec3; 3], axis: usize, at: [f64; 2]) -> Option<Hit> {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let flat = corners.map(|p| [p[u], p[v]]);
     if flat[0] == flat[1] || flat[1] == flat[2] || flat[2] == flat[0] {
         return None;
     }
-    hit(corners, &flat, axis, at)
+    hit(0, corners, &flat, axis, at)
 }
 
-fn hit(corners: &[Vec3; 3], flat: &[[f64; 2]; 3], axis: usize, ray: [f64; 2]) -> Option<Hit> {
+fn hit(
+    triangle: u32,
+    corners: &[Vec3; 3],
+    flat: &[[f64; 2]; 3],
+    axis: usize,
+    ray: [f64; 2],
+) -> Option<Hit> {
     let sides = [0, 1, 2].map(|e| side(flat[e], flat[(e + 1) % 3], ray));
     if sides[0].0 != sides[1].0 || sides[1].0 != sides[2].0 {
         return None;
@@ -201,7 +214,11 @@ fn hit(corners: &[Vec3; 3], flat: &[[f64; 2]; 3], axis: usize, ray: [f64; 2]) ->
     let turn = if sides[0].0 { -1 } else { 1 };
     let weights = [sides[1].1, sides[2].1, sides[0].1];
     let depth = depth_at(&corners.map(|p| p[axis]), weights);
-    Some(Hit { depth, turn })
+    Some(Hit {
+        depth,
+        triangle,
+        turn,
+    })
 }
 
 /// Whether `ray` lies to the left of a -> b, shifted infinitesimally in a tie, and twice the area of

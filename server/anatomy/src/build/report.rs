@@ -129,6 +129,9 @@ pub struct RegionReport {
     /// Further components, each below 1 mm³.
     #[serde(default)]
     pub input_crumbs: usize,
+    /// Of these, those that the model has.
+    #[serde(default)]
+    pub input_crumbs_kept: usize,
     /// Mean distance of its surface from that of the same region of the input, in mm.
     pub surface_distance_mean_mm: f64,
     /// 99th percentile of it, by area.

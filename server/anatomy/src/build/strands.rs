@@ -1,7 +1,8 @@
 //! The stretches of rays within each region, and their connectivity.
 //!
 //! Neighbouring rays are a quarter of a cell apart, and stretches of one region side by side are connected. So
-//! even a part too thin for a cell of its own is assigned to the part it is connected to.
+//! even a part too thin for a cell of its own is assigned to the part it is connected to. Where the walls of closed parts
+//! are known, strands that end on one wall belong to one component, however far apart the rays are.
 
 use rayon::prelude::*;
 
@@ -41,6 +42,24 @@ pub(super) enum Touching {
     Edge,
 }
 
+/// Number of an end that lies on no wall.
+pub(super) const NO_WALL: u32 = u32::MAX;
+
+/// Walls that strands end on.
+pub(super) struct WallEnds {
+    /// The wall at either end of each strand, or [`NO_WALL`].
+    pub(super) of: Vec<[u32; 2]>,
+    /// Whether the region lies behind all of a wall, and another one or nothing before it.
+    pub(super) is_whole: Vec<bool>,
+}
+
+impl WallEnds {
+    fn whole_of(&self, strand: usize) -> [Option<u32>; 2] {
+        let whole = |wall: &u32| *wall != NO_WALL && self.is_whole[*wall as usize];
+        self.of[strand].map(|wall| Some(wall).filter(whole))
+    }
+}
+
 /// The strands of parallel rays, overlaps resolved.
 pub(super) struct Strands {
     /// Rays of a row.
@@ -75,6 +94,31 @@ impl Strands {
         Self::of_rows(width, rows, Touching::Face)
     }
 
+    /// Connects the strands anew: not those side by side that whole walls of their own bound at either end. Returns the
+    /// component of each strand: parts that share a whole wall are one.
+    pub(super) fn join_by_walls(&mut self, ends: &WallEnds) -> Vec<u32> {
+        let mut sets = Sets::new(self.all.len());
+        let mut first = vec![NO_WALL; ends.is_whole.len()];
+        for strand in 0..self.all.len() {
+            for wall in ends.whole_of(strand).into_iter().flatten() {
+                let first = &mut first[wall as usize];
+                if *first == NO_WALL {
+                    *first = strand as u32;
+                }
+                sets.join(*first, strand as u32);
+            }
+        }
+        let same: Vec<u32> = (0..self.all.len() as u32).map(|s| sets.find(s)).collect();
+        let is_bounded = |strand: usize| ends.whole_of(strand).iter().all(Option::is_some);
+        self.join(Touching::Face, |a, b| {
+            same[a] != same[b] && is_bounded(a) && is_bounded(b)
+        });
+        for (strand, part) in self.parts.iter().enumerate() {
+            sets.join(strand as u32, *part);
+        }
+        (0..self.all.len() as u32).map(|s| sets.find(s)).collect()
+    }
+
     /// The strands of rows of `width` rays each.
     pub(super) fn of_rows(width: usize, rows: Vec<Row>, touching: Touching) -> Self {
         let mut this = Self {
@@ -88,7 +132,7 @@ impl Strands {
             this.start.extend(ends.iter().map(|e| before + e));
             this.all.append(&mut strands);
         }
-        this.join(touching);
+        this.join(touching, |_, _| false);
         this
     }
 
@@ -137,6 +181,11 @@ impl Strands {
         self.all.len()
     }
 
+    /// A strand by its number, and its part of the region.
+    pub(super) fn strand(&self, number: usize) -> (&Strand, u32) {
+        (&self.all[number], self.parts[number])
+    }
+
     /// The pairs of parts that touch along a ray, or at one height of two neighbouring rays: a gap of a quarter of
     /// a cell always has a ray in it. Both ways, sorted.
     pub(super) fn touching(&self) -> Vec<[u32; 2]> {
@@ -177,12 +226,13 @@ impl Strands {
         }
     }
 
-    fn range(&self, ray: usize) -> std::ops::Range<usize> {
+    /// The numbers of the strands of a ray.
+    pub(super) fn range(&self, ray: usize) -> std::ops::Range<usize> {
         self.start[ray] as usize..self.start[ray + 1] as usize
     }
 
-    /// Connects adjacent strands.
-    fn join(&mut self, touching: Touching) {
+    /// Connects adjacent strands, unless they are `apart`.
+    fn join(&mut self, touching: Touching, apart: impl Fn(usize, usize) -> bool + Copy) {
         let mut sets = Sets::new(self.all.len());
         let (width, rays) = (self.width, self.start.len() - 1);
         let edges = touching == Touching::Edge;
@@ -190,16 +240,16 @@ impl Strands {
             let column = ray % width;
             let above = ray + width < rays;
             if column + 1 < width {
-                self.join_rays(&mut sets, [ray, ray + 1], edges);
+                self.join_rays(&mut sets, [ray, ray + 1], edges, apart);
             }
             if above {
-                self.join_rays(&mut sets, [ray, ray + width], edges);
+                self.join_rays(&mut sets, [ray, ray + width], edges, apart);
             }
             if edges && above && column + 1 < width {
-                self.join_rays(&mut sets, [ray, ray + width + 1], false);
+                self.join_rays(&mut sets, [ray, ray + width + 1], false, apart);
             }
             if edges && above && column > 0 {
-                self.join_rays(&mut sets, [ray, ray + width - 1], false);
+                self.join_rays(&mut sets, [ray, ray + width - 1], false, apart);
             }
         }
         let all = 0..self.all.len() as u32;
@@ -207,9 +257,15 @@ impl Strands {
     }
 
     /// Connects the strands of two rays that have a stretch in common, or with `ends` at least an end.
-    fn join_rays(&self, sets: &mut Sets, [one, other]: [usize; 2], ends: bool) {
+    fn join_rays(
+        &self,
+        sets: &mut Sets,
+        [one, other]: [usize; 2],
+        ends: bool,
+        apart: impl Fn(usize, usize) -> bool,
+    ) {
         self.side_by_side([one, other], ends, |a, b| {
-            if self.all[a].region == self.all[b].region {
+            if self.all[a].region == self.all[b].region && !apart(a, b) {
                 sets.join(a as u32, b as u32);
             }
         });

@@ -303,3 +303,18 @@ fn region_outside_the_outermost_is_rejected_by_name() {
         "{error}"
     );
 }
+
+#[test]
+fn region_beside_the_others_becomes_a_part_of_its_own() {
+    let mut beside = ball(0.02);
+    for v in &mut beside.vertices {
+        v.x += 0.055;
+    }
+    let (model, report) = built(4.0, &[("body", ball(0.03)), ("knob", beside)]);
+    assert_sound(&model, &report);
+    assert_eq!(report.outer_surface.components, 2);
+    assert!(report.contacts.is_empty(), "{:?}", report.contacts);
+    let named = |w: &&String| w.contains("\"knob\" lies 5.0 mm beside");
+    let named = report.warnings.iter().filter(named).count();
+    assert_eq!((named, report.deviations), (1, 0), "{:?}", report.warnings);
+}

@@ -9,7 +9,7 @@ use super::faces::OUTSIDE;
 use super::grid::Grid;
 use super::interface_samples::{Sample, Thin};
 use super::mending::Crumb;
-use crate::Aabb;
+use super::parts::ClosedParts;
 
 /// Most parts that a report lists, the largest first; the rest is counted.
 pub const THIN_PARTS_MAX: usize = 64;
@@ -159,7 +159,7 @@ impl<'a> Collector<'a> {
         samples: &[Sample],
         crumbs: &[Crumb],
         lost: &[(usize, u8, u8)],
-        parts: &[Vec<Aabb>],
+        parts: &[ClosedParts],
     ) -> Self {
         let mut collector = Self {
             grid,
@@ -271,9 +271,9 @@ impl<'a> Collector<'a> {
 
     /// Adds closed parts of each region's input surface that are smaller than the spacing in at least two
     /// directions.
-    fn add_specks(&mut self, parts: &[Vec<Aabb>]) {
+    fn add_specks(&mut self, parts: &[ClosedParts]) {
         for (region, parts) in parts.iter().enumerate() {
-            for part in parts {
+            for part in &parts.boxes {
                 let extent = part.extent();
                 let along = extent.imax();
                 if (0..3).any(|a| a != along && extent[a] >= self.grid.spacing) {
