@@ -83,12 +83,15 @@ Roles, each with a join link of its own:
   recorder              a program that records the session: a spectator with `--record FILE`
 
 The certificate, its key and the secrets in the links are kept in one file that only its owner may read. So links stay
-valid when the host is restarted. A restarted host begins with uncut tissue.
+valid when the host is restarted. A restarted host begins with uncut tissue, unless it has a session file: that keeps
+every cut, with undo and redo, within some milliseconds. Clients that lost the connection join the restarted host by
+themselves.
 
 Examples:
   palpate-server host thigh                          on port 4433 of all addresses
   palpate-server host thigh.palp --listen 5000       on another port
   palpate-server host thigh --public host.example.org
+  palpate-server host thigh --session monday.cuts    keep the cuts, and continue with them after a restart
   palpate-server host thigh --new-links              earlier links become invalid
   palpate-server host thigh --identity new           a temporary identity";
 

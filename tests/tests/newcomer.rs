@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use palpate_client::Summary;
 use palpate_lab::program::Program;
-use palpate_server::host::Listening;
+use palpate_server::host::{HostSummary, Listening};
 
 use table::{Table, alone, executable};
 
@@ -154,6 +154,50 @@ fn host_restart_keeps_identity_and_links() {
         said.contains("certificate") && said.contains("link"),
         "{said}"
     );
+}
+
+#[test]
+fn killed_host_continues_with_its_cuts_and_its_client_joins_again() {
+    let _alone = alone();
+    let users = UserTable::new();
+    let file = users.table.path("lesson.cuts").display().to_string();
+    let (mut host, first) = users.host(&["--listen", "127.0.0.1:0", "--session", &file]);
+    let [_, script] = users
+        .table
+        .scripts(6.0)
+        .map(|path| path.display().to_string());
+    let options = ["--name", "ann", "--script", &script];
+    let mut ann = users.join("ann", &first.links["trainee"], &options);
+    says(&mut host, "made a cut");
+    // The file is written some milliseconds later.
+    std::thread::sleep(Duration::from_millis(300));
+    let (_, said) = (host.kill(), host.tail());
+    assert!(!said.contains("continuing"), "{said}");
+    let at = format!("127.0.0.1:{}", first.listening.port());
+    let options = ["--listen", &at, "--session", &file];
+    let (mut host, _) = users.host(&options);
+    assert!(
+        host.has_said("continuing with the 1 cuts"),
+        "{}",
+        host.tail()
+    );
+    says(&mut host, "ann joined");
+    says(&mut ann, "joining again");
+    // Longer than her replica and the rest of her script take.
+    std::thread::sleep(Duration::from_secs(8));
+    ann.ask_to_end();
+    let ann = left(ann);
+    host.ask_to_end();
+    host.wait_for_success(SOON).unwrap();
+    let summary: HostSummary = host.last_json("a summary").unwrap();
+    assert_eq!(summary.are_cuts_kept, Some(true));
+    assert!(summary.topology_version > 0);
+    assert_eq!(ann.topology_hash, summary.topology_hash);
+    let (mut host, _) = users.host(&[&options[..], &["--duration", "1"]].concat());
+    host.wait_for_success(SOON).unwrap();
+    let again: HostSummary = host.last_json("a summary").unwrap();
+    let state = |s: &HostSummary| (s.topology_version, s.topology_hash.clone());
+    assert_eq!(state(&again), state(&summary));
 }
 
 #[test]

@@ -40,7 +40,7 @@ pub use connection::{
 };
 pub use replica::{
     CutOrder, Drift, HAPTIC_PERIOD, MadeCut, Prefetch, Replica, ReplicaError, ThinCounters,
-    ThinView, VIEW_ITERATIONS, VIEW_TOLERANCE, View, hand_budget,
+    ThinView, VIEW_ITERATIONS, VIEW_TOLERANCE, View, hand_budget, repeat_change,
 };
 pub use site::{
     Access, HandPose, OperationRecord, RESYNCS_MAX, SessionState, Site, SiteCounters, SiteError,

@@ -12,6 +12,8 @@ pub(crate) enum Ending {
     Wish(String),
     /// The session ended.
     Closed(CloseReason),
+    /// The server no longer has the seat.
+    SeatGone(String),
     /// The replica differs from the server.
     Diverged(String),
     /// A thread of this program panicked.
@@ -41,6 +43,10 @@ pub(super) fn conclude(
         Ending::Closed(CloseReason::ConnectionLost(detail)) => {
             let summary = end(format!("connection to the server lost: {detail}"));
             Err(ClientError::ServerLost { detail, summary })
+        }
+        Ending::SeatGone(detail) => {
+            let summary = end(format!("the server no longer has the seat: {detail}"));
+            Err(ClientError::SeatGone { detail, summary })
         }
         Ending::Diverged(detail) => {
             let summary = end(format!("the replica differs from the server: {detail}"));

@@ -121,6 +121,14 @@ pub enum ClientError {
         /// Summary up to this point.
         summary: Box<Summary>,
     },
+    /// The server was restarted, or the seat has expired. The force was ramped to zero.
+    #[error("the server no longer has your seat ({detail}); the force was set to zero. Join again")]
+    SeatGone {
+        /// The server's reason.
+        detail: String,
+        /// Summary up to this point.
+        summary: Box<Summary>,
+    },
     /// The replica differs from the server.
     #[error("your replica differs from the server ({detail}); join again")]
     Diverged {
@@ -144,6 +152,7 @@ impl ClientError {
     pub fn summary(&self) -> Option<&Summary> {
         match self {
             Self::ServerLost { summary, .. }
+            | Self::SeatGone { summary, .. }
             | Self::Diverged { summary, .. }
             | Self::Broken { summary, .. }
             | Self::Record { summary, .. } => Some(summary),

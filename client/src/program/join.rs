@@ -1,6 +1,8 @@
 //! One run, from the join link to the summary.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 use palpate_device::backend::sim::ScriptStart;
 use palpate_device::script::ToolKind;
@@ -23,8 +25,31 @@ use crate::recording::{HAPTIC_POINTS_MAX, Recording};
 use crate::replica::{Hand, Inputs, ReplicaThread, record_every};
 use crate::{ClientError, JoinOptions, Summary};
 
-/// Joins a session and stays until it ends, the duration has passed or `stop` is set.
+/// Joins a session and stays until it ends, the duration has passed or `stop` is set. If the server was restarted, or the seat
+/// has expired, it joins again as a new participant, unless a recording would be overwritten. The summary is of the last
+/// stay.
 pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
+    let mut options = options.clone();
+    loop {
+        let began = monotonic_now();
+        let detail = match stay(&options) {
+            Err(ClientError::SeatGone { detail, .. }) if may_join_again(&options) => detail,
+            ended => return ended,
+        };
+        let stayed = Duration::from_micros((monotonic_now() - began).as_micros().unsigned_abs());
+        options.duration = options.duration.map(|d| d.saturating_sub(stayed));
+        Status::new(options.status, began).print(&format!(
+            "the server no longer has your seat ({detail}); joining again"
+        ));
+    }
+}
+
+fn may_join_again(options: &JoinOptions) -> bool {
+    options.record.is_none() && !options.stop.load(Ordering::Acquire)
+}
+
+/// One stay in a session.
+fn stay(options: &JoinOptions) -> Result<Summary, ClientError> {
     let link: JoinLink = options.link.parse()?;
     let is_thin = options.subscription == Subscription::Thin;
     if is_thin && !link.role.may(Permission::WatchThin) {

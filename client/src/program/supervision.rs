@@ -222,6 +222,12 @@ impl Supervision<'_> {
         if let Some(haptics) = &haptics {
             summary.take_haptics(haptics);
         }
+        let ending = match ending {
+            Ending::Closed(CloseReason::ConnectionLost(why)) if connection.is_seat_gone => {
+                Ending::SeatGone(why)
+            }
+            other => other,
+        };
         let outcome = conclude(ending, summary, haptics.as_ref());
         // After the force loop: a pointer without its page is unplugged to the loop.
         if let Some(page) = self.threads.page {

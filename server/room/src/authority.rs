@@ -240,7 +240,11 @@ pub struct Cutter {
 impl Authority {
     /// The uncut tissue and its cutter.
     pub fn new(model: Arc<Model>) -> (Self, Cutter) {
-        let tissue = Tissue::new(model);
+        Self::of(Tissue::new(model))
+    }
+
+    /// This tissue, perhaps with cuts, and its cutter.
+    pub fn of(tissue: Tissue) -> (Self, Cutter) {
         let cutter = Cutter {
             preparer: tissue.preparer(),
             strokes: OpenStrokes::default(),

@@ -38,5 +38,6 @@ pub use authority::{
 pub use config::{RoomConfig, SEATS_MAX};
 pub use invitations::Invitation;
 pub use limits::{Limit, LimitCounters};
+pub use log::TopologyState;
 pub use room::{Output, PeerKey, Room, SeatFigures, ToolShown};
 pub use simulated::SimulatedRoom;

@@ -106,7 +106,7 @@ pub(crate) struct Log {
 }
 
 /// Version and hash of a topology.
-pub(crate) type TopologyState = (u32, TopologyHash);
+pub type TopologyState = (u32, TopologyHash);
 
 /// A snapshot as newcomers receive it.
 #[derive(Debug)]

@@ -68,7 +68,8 @@ pub enum Output {
 /// tissue, so that it relays motion at once.
 pub struct Room {
     config: RoomConfig,
-    uncut: TopologyHash,
+    /// Before the first operation.
+    beginning: TopologyState,
     /// After the newest cut in the log.
     topology: TopologyState,
     participants: BTreeMap<ParticipantId, Participant>,
@@ -109,7 +110,7 @@ impl Room {
     /// An empty session over tissue with this hash of the uncut topology.
     pub fn new(uncut: TopologyHash, config: RoomConfig, now: ServerTime) -> Self {
         Self {
-            uncut,
+            beginning: (0, uncut),
             topology: (0, uncut),
             participants: BTreeMap::new(),
             by_peer: BTreeMap::new(),
@@ -145,6 +146,20 @@ impl Room {
             outputs: VecDeque::new(),
             config,
         }
+    }
+
+    /// Continues the tissue of an earlier session, before the first event. `snapshot` restores this state for newcomers;
+    /// `newest` is the latest participant that has cut. Returns whether the snapshot fits.
+    pub fn continue_from(
+        &mut self,
+        state: TopologyState,
+        snapshot: &[u8],
+        newest: ParticipantId,
+    ) -> bool {
+        self.beginning = state;
+        self.topology = state;
+        self.next_participant = newest.0.wrapping_add(1).max(1);
+        self.log.cover(state.0, snapshot)
     }
 
     /// Handles an event of a peer's session.

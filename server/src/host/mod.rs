@@ -12,6 +12,7 @@ mod options;
 mod page_site;
 mod pages;
 mod serve;
+mod session_file;
 mod session_view;
 mod steered_tool;
 mod summary;
@@ -104,7 +105,13 @@ pub(crate) fn host(options: &HostOptions) -> Result<(), ServerError> {
     let models = (models, tokens);
     let at = (&server, site.as_ref());
     let summary = serve::serve(options, at, models, loaded.model, config, &announce)?;
-    summary::finish(options.json, &summary)
+    summary::finish(options.json, &summary)?;
+    if summary.are_cuts_kept == Some(false) {
+        return Err(ServerError::Option(
+            "the last cuts are not in the session file; see the errors above".to_owned(),
+        ));
+    }
+    Ok(())
 }
 
 /// The roles that a browser can take; recording takes a program.

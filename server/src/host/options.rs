@@ -33,6 +33,9 @@ pub(crate) struct HostOptions {
     /// [default: `$XDG_STATE_HOME/palpate/host` or `~/.local/state/palpate/host`]
     #[arg(long, value_name = "DIR|new")]
     pub(super) identity: Option<IdentitySource>,
+    /// Keep the cuts in this file, and continue with those that it has
+    #[arg(long, value_name = "FILE")]
+    pub(super) session: Option<PathBuf>,
     /// Make new join links and invalidate the old ones
     #[arg(long)]
     pub(super) new_links: bool,

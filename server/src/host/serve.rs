@@ -10,12 +10,12 @@ use palpate_protocol::operation::OperationKind;
 use palpate_protocol::session::PeerEvent;
 use palpate_protocol::{ServerTime, Span};
 use palpate_room::{Cutter, Output, PeerKey, Room, RoomConfig, TissueOrder, TissueReport};
-use palpate_tissue::Model;
+use palpate_tissue::{Model, Tissue};
 use palpate_transport::threads::{self, CpuTime, ThreadClass};
 use palpate_transport::{
     ModelSource, PeerHandle, PeerId, PeerInput, Server, ServerIdentity, spawn_peer,
 };
-use palpate_view::{PageAddress, PageInput};
+use palpate_view::{Feed, PageAddress, PageInput};
 use tokio::runtime::Runtime;
 use tokio::sync::mpsc;
 use tracing::Instrument as _;
@@ -25,6 +25,7 @@ use super::links::Links;
 use super::options::HostOptions;
 use super::page_site::PageSite;
 use super::pages::Pages;
+use super::session_file::{Continued, SessionFile};
 use super::summary::{HostSummary, Refused, TickTimes, limits};
 use super::tissue::{Answer, TissueThreads};
 use super::tokens::SeatTokens;
@@ -80,6 +81,8 @@ struct Session {
     /// Participants in browsers, if the session has a page.
     pages: Option<Pages>,
     tokens: SeatTokens,
+    /// Keeps the cuts.
+    file: Option<SessionFile>,
     /// Joins and seats at the last update of the tokens.
     seats_known: (u64, usize),
 }
@@ -119,6 +122,15 @@ pub(super) fn serve(
             None => (Server::bind(options.listen, identity, models)?, None),
         }
     };
+    let model = Arc::new(model);
+    // The tissue is built before participants can join, which takes half a second for 60,000 nodes.
+    let (file, continued) = match &options.session {
+        Some(path) => {
+            let (file, continued) = SessionFile::open(path, &model)?;
+            (Some(file), continued)
+        }
+        None => (None, None),
+    };
     let tick = Duration::from_micros(config.tick_period().as_micros().unsigned_abs());
     let began = Instant::now();
     let address = server.local_addr();
@@ -128,10 +140,11 @@ pub(super) fn serve(
         Pages::start((site, door), clock, &model, &config, links.clone())
     });
     let (pages, feed) = pages.transpose()?.unzip();
-    let (tissue, uncut) = TissueThreads::start(Arc::new(model), solver_limit(tick), feed)?;
     let span = tracing::error_span!("session", epoch = config.epoch.0);
+    let limit = solver_limit(tick);
+    let (room, tissue) = begin(continued, model, config, (limit, feed))?;
     let mut session = Session {
-        room: Room::new(uncut, config, ServerTime::ZERO),
+        room,
         tissue,
         peers: BTreeMap::new(),
         newest_peer: 0,
@@ -145,6 +158,7 @@ pub(super) fn serve(
         announcements: Announcements::new(),
         pages,
         tokens,
+        file,
         seats_known: (0, 0),
     };
     let server = Arc::new(server);
@@ -158,10 +172,46 @@ pub(super) fn serve(
         .build()
         .map_err(io("the room's event loop could not be started"))?;
     let ended = here.block_on(session.run(options, joined, inbox).instrument(span));
-    let summary = session.summary(tick, ended);
+    let file = session.file.take();
+    let summary = HostSummary {
+        are_cuts_kept: file.map(SessionFile::finish),
+        ..session.summary(tick, ended)
+    };
     network.block_on(server.close("the host ended the session"));
     network.shutdown_timeout(Duration::from_secs(1));
     Ok(summary)
+}
+
+/// The room and the threads of the tissue, with the cuts of a session file.
+fn begin(
+    continued: Option<Continued>,
+    model: Arc<Model>,
+    config: RoomConfig,
+    (limit, feed): (Duration, Option<Feed>),
+) -> Result<(Room, TissueThreads), ServerError> {
+    let (tissue, before) = match continued {
+        Some(continued) => {
+            let (cuts, state) = (continued.strokes, continued.state);
+            super::progress(&format!(
+                "continuing with the {cuts} cuts of the session file"
+            ));
+            let before = (state, continued.snapshot, continued.newest);
+            (continued.tissue, Some(before))
+        }
+        None => (Tissue::new(model), None),
+    };
+    let (tissue, hash) = TissueThreads::start(tissue, limit, feed)?;
+    let mut room = Room::new(hash, config, ServerTime::ZERO);
+    if let Some((state, snapshot, newest)) = before
+        && !room.continue_from(state, &snapshot, newest)
+    {
+        return Err(ServerError::Option(format!(
+            "the cuts of the session file are {} MiB, more than a participant can receive; give another file to begin \
+             with uncut tissue",
+            snapshot.len() >> 20
+        )));
+    }
+    Ok((room, tissue))
 }
 
 /// Accepts peers in the background; each reaches the room through the inbox.
@@ -281,6 +331,9 @@ impl Session {
             self.emulate_networks();
             self.deliver();
             let new = self.room.operations_since(self.announcements.next());
+            if let Some(file) = &self.file {
+                file.note(new);
+            }
             self.announcements.announce(new);
             let now = server_time(self.began);
             self.announcements.announce_limits(self.room.limits(), now);
@@ -341,6 +394,9 @@ impl Session {
             TissueReport::Prepared { .. } => self.cuts_us.saturating_record(us.max(1)),
             TissueReport::Snapshot { version, bytes } => {
                 tracing::debug!(us, version, bytes = bytes.len(), "snapshot");
+                if let Some(file) = &self.file {
+                    file.cover(*version, bytes);
+                }
             }
         }
         self.room
@@ -441,6 +497,7 @@ impl Session {
             limits: limits(self.room.limits()),
             refused,
             seconds: self.began.elapsed().as_secs_f64(),
+            are_cuts_kept: None,
             ended,
         }
     }

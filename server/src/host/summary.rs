@@ -87,6 +87,9 @@ pub struct HostSummary {
     pub limits: BTreeMap<String, u64>,
     /// Length of the session in s.
     pub seconds: f64,
+    /// Whether the session file has every cut; `None` without one.
+    #[serde(default)]
+    pub are_cuts_kept: Option<bool>,
     /// Reason for the end.
     pub ended: String,
 }

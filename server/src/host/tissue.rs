@@ -3,14 +3,13 @@
 //! The room's thread relays motion and waits for neither.
 
 use std::num::NonZeroUsize;
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use palpate_protocol::{Span, TopologyHash};
 use palpate_room::{Authority, CutJob, Cutter, Settling, TissueOrder, TissueReport};
-use palpate_tissue::{Model, PreparedCut};
+use palpate_tissue::{PreparedCut, Tissue};
 use palpate_transport::threads::{self, ThreadClass};
 use palpate_view::Feed;
 use tokio::sync::mpsc as async_mpsc;
@@ -46,10 +45,10 @@ pub(super) struct TissueThreads {
 }
 
 impl TissueThreads {
-    /// Builds the solver, which takes half a second for 60,000 nodes. `limit` is the CPU time of a tick after which no
-    /// further iteration begins; `feed` shows each tick to pages.
+    /// `limit` is the CPU time of a tick after which no further iteration begins; `feed` shows each tick to pages. Returns
+    /// the hash of the topology, too.
     pub(super) fn start(
-        model: Arc<Model>,
+        tissue: Tissue,
         limit: Duration,
         feed: Option<Feed>,
     ) -> Result<(Self, TopologyHash), ServerError> {
@@ -57,8 +56,8 @@ impl TissueThreads {
             doing: "the threads of the tissue could not be started".to_owned(),
             source,
         };
-        let (authority, cutter) = Authority::new(model);
-        let uncut = cutter.hash();
+        let (authority, cutter) = Authority::of(tissue);
+        let hash = cutter.hash();
         let (work, todo) = channel();
         let (jobs, jobs_todo) = channel();
         let (answer, answers) = async_mpsc::unbounded_channel();
@@ -85,7 +84,7 @@ impl TissueThreads {
             answers,
             cuts,
         };
-        Ok((threads, uncut))
+        Ok((threads, hash))
     }
 
     /// Sends an order to its thread. Returns `false` if the thread has ended, which happens only after a panic.

@@ -51,6 +51,9 @@ pub struct ConnectionStatus {
     pub reconnects: u64,
     /// Number of the participant after it joined again, because its seat was gone.
     pub joined_again_as: Option<ParticipantId>,
+    /// Whether the session ended for this client because the server no longer has its seat: it was restarted, or the seat
+    /// has expired. A new join may succeed.
+    pub is_seat_gone: bool,
     /// Requests that were dropped without a connection, or not answered in time.
     pub requests_lost: u64,
 }
@@ -342,6 +345,7 @@ impl Reconnector {
         let is_new_seat = std::mem::take(&mut self.is_seat_gone) || !is_same_seat;
         if welcome.epoch != self.epoch {
             let why = "the server has begun another session; join again".to_owned();
+            self.status.is_seat_gone = true;
             return self.close(CloseReason::ConnectionLost(why), Farewell::Final);
         }
         if is_new_seat {
@@ -394,6 +398,7 @@ impl Reconnector {
                 self.connect(outage, now);
             }
         } else {
+            self.status.is_seat_gone = refused.reason == RefusalReason::NoSuchSeat;
             self.handle_dead_end(refused.sentence);
         }
     }

@@ -226,7 +226,7 @@ impl Replica {
         if let (Some(Thin { view, history }), HandTissue::Absent(topology)) =
             (&mut self.thin, &mut self.haptic)
         {
-            let outcome = repeat(topology, history, operation)?;
+            let outcome = repeat_change(topology, history, operation)?;
             if let Some(outcome) = outcome {
                 view.follow(topology, &outcome);
             }
@@ -280,7 +280,7 @@ impl Replica {
             self.replay = tissue.map(|t| (Arc::clone(t.topology()), t.history().clone()));
         }
         match &mut self.replay {
-            Some((topology, history)) => repeat(topology, history, operation).map(drop),
+            Some((topology, history)) => repeat_change(topology, history, operation).map(drop),
             None => self.apply(operation).map(drop),
         }
     }
@@ -407,8 +407,9 @@ impl ExternalWork {
     }
 }
 
-/// Makes the change of an operation on a topology without a shape; `None` if it changes no topology.
-fn repeat(
+/// Makes the change of an operation on a topology without a shape; `None` if it changes no topology. The version before
+/// and the hash after it are checked.
+pub fn repeat_change(
     topology: &mut Arc<Topology>,
     history: &mut CutHistory,
     operation: &Operation,

@@ -300,7 +300,7 @@ impl Room {
     /// The first operation that a resuming client lacks; 0 if its log differs from the server's.
     fn continues_at(&self, resume: &Resume) -> OperationId {
         let next = resume.next_operation;
-        let state = self.log.state_before(next).unwrap_or((0, self.uncut));
+        let state = self.log.state_before(next).unwrap_or(self.beginning);
         let is_ours = next <= self.log.next()
             && next >= self.log.complete_from()
             && state == (resume.topology_version, resume.topology_hash);
