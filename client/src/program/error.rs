@@ -169,6 +169,7 @@ impl ClientError {
             | Self::Script { .. }
             | Self::Motion { .. }
             | Self::NoScript(_)
+            | Self::Name(_)
             | Self::ThinTool(_)
             | Self::RecordPlace(_)
             | Self::View(_)

@@ -114,6 +114,7 @@ fn stay(options: &JoinOptions) -> Result<Summary, ClientError> {
         threads,
         status,
         connection: ConnectionStatus::default(),
+        is_loss_told: false,
         began: monotonic_now(),
         cpu_began: cpu_time(),
         received: (0, monotonic_now()),

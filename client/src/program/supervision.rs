@@ -31,6 +31,8 @@ pub(super) struct Supervision<'a> {
     /// State of the connection at the last poll.
     pub(super) connection: ConnectionStatus,
     pub(super) began: ClientTime,
+    /// Whether this outage's lost cuts have been reported.
+    pub(super) is_loss_told: bool,
     /// CPU time of the program at the start of the session.
     pub(super) cpu_began: CpuTime,
     /// Bytes received and time, as of the last status line.
@@ -141,10 +143,13 @@ impl Supervision<'_> {
         {
             self.status.print(&retry.to_string());
         }
-        if now.requests_lost > self.connection.requests_lost {
+        // A stroke has many parts.
+        if now.requests_lost > self.connection.requests_lost && !self.is_loss_told {
+            self.is_loss_told = true;
             self.status
                 .print("your cut was lost with the connection; please repeat it");
         }
+        self.is_loss_told &= now.lost.is_some();
         self.connection = now;
     }
 
