@@ -112,6 +112,40 @@ fn newcomer_receives_the_snapshot_and_resuming_client_the_rest_of_its_log() {
 }
 
 #[test]
+fn continued_session_sends_its_snapshot_and_resumes_seats_with_it() {
+    let config = config(8, 1, CompensationMode::Fixed);
+    let mut room = Room::new(TopologyHash(9), config, ms(0));
+    assert!(room.continue_from((5, TopologyHash(9)), &[1, 2, 3], ParticipantId(7)));
+    room.handle_event(ANN, hello("ann", Role::Trainee, ToolKind::Scalpel), ms(0));
+    let sent = outputs(&mut room);
+    let first = welcome(&sent, ANN);
+    assert_eq!(
+        first.participant,
+        ParticipantId(8),
+        "others have cut before"
+    );
+    let state = (first.topology_version, first.topology_hash);
+    assert_eq!(state, (5, TopologyHash(9)));
+    assert_eq!(first.snapshot.unwrap().topology_version, 5);
+    assert_eq!(snapshot(&sent, ANN), [1, 2, 3]);
+    let mut seat = Resume::after_welcome(&first, None);
+    operations(&sent, ANN).iter().for_each(|o| seat.note(o));
+    let lost = CloseReason::ConnectionLost("a test".into());
+    room.handle_event(ANN, PeerEvent::Closed(lost), ms(400));
+    let PeerEvent::Hello(hello) = hello("ann", Role::Trainee, ToolKind::Scalpel) else {
+        unreachable!()
+    };
+    let resume = Some(seat);
+    let back = PeerKey(2);
+    room.handle_event(back, PeerEvent::Hello(Hello { resume, ..hello }), ms(500));
+    let sent = outputs(&mut room);
+    assert_eq!(welcome(&sent, back).first_operation, seat.next_operation);
+    assert_eq!(snapshot(&sent, back), []);
+    log_undo(&mut room, 6);
+    assert_eq!(room.topology(), (6, TopologyHash(6)));
+}
+
+#[test]
 fn topology_reports_are_compared_as_far_as_the_log_goes() {
     let mut room = session();
     for version in 1..300 {
