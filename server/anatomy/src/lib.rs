@@ -38,9 +38,9 @@ pub mod surface;
 pub use build::{
     BUILD_NODES_MAX, BarReport, BuildReport, COMPONENTS_MAX, CORNER_FLOOR, CRUMB_MM3,
     ComponentLoss, ComponentReport, ContactReport, FaultKind, GRID_CELLS_MAX, GapReport, KEPT_MIN,
-    Layer, LayerReport, Layers, MergedComponent, NEIGHBOURS_MAX, Progress, QualityReport,
-    RegionReport, SPRING_FLOOR, SpacingReport, SpringCounts, SurfaceFault, SurfaceReport,
-    THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts, build, region_surface,
+    Layer, LayerReport, Layers, LostCrumbs, MergedComponent, NEIGHBOURS_MAX, Progress,
+    QualityReport, RegionReport, SPRING_FLOOR, SpacingReport, SpringCounts, SurfaceFault,
+    SurfaceReport, THIN_PARTS_MAX, ThinKind, ThinPart, ThinParts, build, region_surface,
 };
 pub use error::InputError;
 pub use labels::LabelVolume;

@@ -55,16 +55,32 @@ pub struct ComponentLoss {
     pub merged: Vec<MergedComponent>,
     /// Number of further ones.
     pub merged_more: usize,
+    /// Regions whose lost crumbs add up to the volume that the scene sets.
+    #[serde(default)]
+    pub crumbs: Vec<LostCrumbs>,
+}
+
+/// Lost components of a region below [`CRUMB_MM3`] each. They may be noise, or a sheet that is too thin for the rays.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LostCrumbs {
+    /// The region.
+    pub region: String,
+    /// Their number.
+    pub count: usize,
+    /// Their volume in mm³, together.
+    pub volume_mm3: f64,
 }
 
 /// Components of one region of the input.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Counts {
     /// Components that are no crumbs.
     pub(super) components: usize,
     pub(super) crumbs: usize,
     /// Crumbs that are not lost.
     pub(super) crumbs_kept: usize,
+    /// Volume of those that are, in m³.
+    pub(super) crumbs_lost: f64,
 }
 
 /// Counts the components of each region of the input.
@@ -75,7 +91,11 @@ pub(super) fn counts(components: &[Component], regions: usize) -> Vec<Counts> {
         let is_crumb = whole.volume * 1e9 < CRUMB_MM3;
         own.components += usize::from(!is_crumb);
         own.crumbs += usize::from(is_crumb);
-        own.crumbs_kept += usize::from(is_crumb && whole.kept >= KEPT_MIN);
+        if is_crumb && whole.kept >= KEPT_MIN {
+            own.crumbs_kept += 1;
+        } else if is_crumb {
+            own.crumbs_lost += whole.volume;
+        }
     }
     counts
 }
@@ -123,11 +143,21 @@ pub(super) fn losses(components: &[Component], names: &[String], scene: &Scene) 
     let (lost_more, merged_more) = (more(lost.len()), more(merged.len()));
     lost.truncate(COMPONENTS_MAX);
     merged.truncate(COMPONENTS_MAX);
+    let crumbs = counts(components, names.len()).into_iter().zip(names);
+    let crumbs = crumbs
+        .filter(|(c, _)| c.crumbs_lost * 1e9 >= scene.thresholds.component_mm3.max(CRUMB_MM3));
     ComponentLoss {
         lost,
         lost_more,
         merged,
         merged_more,
+        crumbs: crumbs
+            .map(|(counts, name)| LostCrumbs {
+                region: name.clone(),
+                count: counts.crumbs - counts.crumbs_kept,
+                volume_mm3: counts.crumbs_lost * 1e9,
+            })
+            .collect(),
     }
 }
 
@@ -278,6 +308,70 @@ mod tests {
             "{lost:?}"
         );
         let named = |w: &&String| w.contains("a piece of region \"bone\" of");
+        assert_eq!(report.warnings.iter().filter(named).count(), 1);
+    }
+
+    #[test]
+    fn later_region_cuts_a_body_along_each_axis_in_two_components() {
+        for axis in 0..3 {
+            for thickness in [0.01, 0.0005] {
+                let mut long = Vec3::repeat(thickness / 2.0);
+                long[axis] = 0.025;
+                long[(axis + 1) % 3] = 0.005;
+                let mut slab = Vec3::repeat(0.03);
+                slab[axis] = 0.004;
+                let regions = [
+                    ("fat", block(0.03)),
+                    ("muscle", cuboid(-long, long)),
+                    ("bone", cuboid(-slab, slab)),
+                ];
+                let (_, report) = built(4.0, &regions);
+                let loss = &report.component_loss;
+                let named = loss.lost.iter().filter(|l| l.region == "muscle").count();
+                let kept = report.regions[1].components;
+                assert!(kept == 2 || named >= 2, "{axis} {thickness} {loss:?}");
+                if thickness > 0.004 {
+                    assert_eq!(report.regions[1].input_components, 2, "{axis}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn hollow_ball_has_the_volume_of_its_wall() {
+        let mut inner = ball(0.0037);
+        inner.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+        let shell = both(ball(0.004), &inner);
+        let volume = shell.volume() * 1e9;
+        let (_, report) = built(4.0, &[("fat", block(0.03)), ("bone", shell)]);
+        assert_eq!(report.regions[1].input_components, 1);
+        let [lost] = report.component_loss.lost.as_slice() else {
+            panic!("{:?}", report.component_loss);
+        };
+        assert!(
+            (lost.volume_mm3 / volume - 1.0).abs() < 0.1,
+            "{lost:?} {volume}"
+        );
+    }
+
+    #[test]
+    fn lost_crumbs_are_named_together() {
+        // A sheet between the rays, pierced: what is left of it is known to single rays only.
+        let half = Vec3::new(0.025, 0.025, 0.00005);
+        let turn = Rotation3::from_euler_angles(0.7, 0.4, 0.2);
+        let mut sheet = cuboid(-half, half);
+        sheet.vertices.iter_mut().for_each(|v| *v = turn * *v);
+        let regions = [
+            ("fat", block(0.04)),
+            ("fascia", sheet),
+            ("bone", ball(0.005)),
+        ];
+        let (_, report) = built(4.0, &regions);
+        let [crumbs] = report.component_loss.crumbs.as_slice() else {
+            panic!("{:?}", report.component_loss);
+        };
+        assert!((200.0..260.0).contains(&crumbs.volume_mm3), "{crumbs:?}");
+        let named = |w: &&String| w.contains("components of region \"fascia\" below 1 mm³");
         assert_eq!(report.warnings.iter().filter(named).count(), 1);
     }
 }

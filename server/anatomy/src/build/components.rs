@@ -1,5 +1,7 @@
 //! The connected components of the input, and how much of each the model keeps.
 
+use std::collections::BTreeMap;
+
 use palpate_tissue::Vec3;
 
 use super::parts::ClosedParts;
@@ -86,12 +88,12 @@ pub(super) fn merge(shared: &mut Vec<Shared>) {
     });
 }
 
-/// The components that strands belong to, in the order of their first strands. `point` places a depth of a row of strands
+/// The components that strands belong to, in the order of their first strands, with the measures of small parts. `point` places a depth of a row of strands
 /// in the world, and `unit` is the volume of a unit of length.
 pub(super) fn components(
     strands: &Strands,
     shared: &[Shared],
-    known: &KnownParts,
+    (known, measured): (&KnownParts, &[Piece]),
     point: impl Fn([usize; 2], f64) -> Vec3,
     unit: f64,
 ) -> Vec<Component> {
@@ -100,10 +102,9 @@ pub(super) fn components(
     let mut pieces: Vec<Piece> = Vec::new();
     let mut longest: Vec<f64> = Vec::new();
     let mut component_of: Vec<u32> = Vec::new();
-    let is_skipped = |part: u32| known.replaced.binary_search(&part).is_ok();
     let [width, height] = strands.size();
     for (v, u) in (0..height).flat_map(|v| (0..width).map(move |u| (v, u))) {
-        for (strand, part) in strands.of([u, v]).filter(|s| !is_skipped(s.1)) {
+        for (strand, part) in strands.of([u, v]) {
             let slot = &mut slots[part as usize];
             if *slot == NONE {
                 *slot = pieces.len() as u32;
@@ -126,8 +127,7 @@ pub(super) fn components(
             }
         }
     }
-    let same = shared.chunk_by(|a, b| a.input == b.input);
-    for same in same.filter(|s| !is_skipped(s[0].input)) {
+    for same in shared.chunk_by(|a, b| a.input == b.input) {
         let own = &mut pieces[slots[same[0].input as usize] as usize];
         let sum = |common: bool| -> f64 {
             let lengths = same.iter().filter(|s| s.model.is_some() == common);
@@ -144,8 +144,14 @@ pub(super) fn components(
     // Components have the number of their first strand.
     order.sort_by_key(|p| component_of[*p]);
     let same = order.chunk_by(|a, b| component_of[*a] == component_of[*b]);
-    same.map(|same| Component::of(same.iter().map(|p| pieces[*p]).collect()))
-        .collect()
+    same.map(|same| {
+        let mut own = Component::of(same.iter().map(|p| pieces[*p]).collect());
+        if let Some(small) = known.small_of.get(&component_of[same[0]]) {
+            own.whole = measured[*small];
+        }
+        own
+    })
+    .collect()
 }
 
 /// What closed parts tell of strands.
@@ -153,8 +159,10 @@ pub(super) fn components(
 pub(super) struct KnownParts {
     /// The component of each strand; without elements each part of the strands is one.
     component_of: Vec<u32>,
-    /// The parts of strands that consist of small closed parts only, sorted.
-    replaced: Vec<u32>,
+    /// The small part that a component of strands is.
+    small_of: BTreeMap<u32, usize>,
+    /// Small parts that no strand belongs to.
+    pub(super) missed: Vec<usize>,
 }
 
 impl KnownParts {
@@ -172,18 +180,22 @@ pub(super) struct PartWalls {
     first: Vec<u32>,
     /// Hits of each part.
     hits: Vec<u32>,
-    ends: WallEnds,
+    /// The part at either end of each strand, or [`NO_WALL`].
+    of: Vec<[u32; 2]>,
 }
 
+/// Distance in m within which a hit is the end of a strand: another surface may begin in the same place.
+const SAME: f64 = 1e-9;
+
 impl PartWalls {
-    /// Finds the part that each strand ends on. A part is whole when all of its hits are such ends.
+    /// Finds the part that each strand ends on.
     pub(super) fn of(strands: &Strands, hits: &[Hits], rays: &Rays, parts: &[ClosedParts]) -> Self {
         let mut first = vec![0];
         for parts in parts {
             first.push(first[first.len() - 1] + parts.boxes.len() as u32);
         }
         let walls = first[first.len() - 1] as usize;
-        let (mut hit, mut ended) = (vec![0; walls], vec![0; walls]);
+        let mut hit = vec![0; walls];
         let mut of = vec![[NO_WALL; 2]; strands.len()];
         let [width, height] = rays.count;
         for (v, u) in (0..height).flat_map(|v| (0..width).map(move |u| (v, u))) {
@@ -196,15 +208,14 @@ impl PartWalls {
                     let part = parts[region].of_triangle[at.triangle as usize];
                     let wall = first[region] + part;
                     hit[wall as usize] += 1;
-                    // Strands keep the depths of hits unchanged.
                     while let Some(strand) = next {
                         let (stretch, _) = strands.strand(strand);
                         let ends = [stretch.from, stretch.to];
-                        if let Some(end) = ends.iter().position(|end| *end == at.depth) {
-                            ended[wall as usize] += 1;
+                        let is_same = |end: &f64| (end - at.depth).abs() < SAME;
+                        if let Some(end) = ends.iter().position(is_same) {
                             of[strand][end] = wall;
                         }
-                        if stretch.to > at.depth {
+                        if stretch.to > at.depth - SAME {
                             break;
                         }
                         next = own.next();
@@ -212,12 +223,10 @@ impl PartWalls {
                 }
             }
         }
-        let is_whole = hit.iter().zip(&ended).map(|(hit, ended)| hit == ended);
-        let is_whole = is_whole.collect();
         Self {
             first,
             hits: hit,
-            ends: WallEnds { of, is_whole },
+            of,
         }
     }
 
@@ -226,25 +235,61 @@ impl PartWalls {
         self.hits[(self.first[surface] + part) as usize]
     }
 
-    /// Connects the strands by their walls.
-    pub(super) fn join(mut self, strands: &mut Strands, small: &[SmallPart]) -> KnownParts {
-        let mut is_small = vec![false; self.hits.len()];
-        for part in small {
-            let wall = (self.first[usize::from(part.region)] + part.part) as usize;
-            is_small[wall] = true;
-            self.ends.is_whole[wall] = part.is_whole;
+    /// Whether it matters that a part is whole: few rays meet it, or its strands are several pieces, or one piece with those of
+    /// another part. Of each surface.
+    pub(super) fn in_doubt(&self, strands: &Strands, few: u32) -> Vec<Vec<bool>> {
+        const NONE: u32 = u32::MAX;
+        let walls = self.hits.len();
+        let (mut piece_of, mut wall_of) = (vec![NONE; walls], vec![NONE; strands.len()]);
+        let mut doubt: Vec<bool> = self.hits.iter().map(|hits| *hits < few).collect();
+        for (strand, ends) in self.of.iter().enumerate() {
+            let piece = strands.strand(strand).1;
+            for &wall in ends.iter().filter(|w| **w != NO_WALL) {
+                let (own, other) = (&mut piece_of[wall as usize], &mut wall_of[piece as usize]);
+                if *own == NONE {
+                    *own = piece;
+                }
+                if *other == NONE {
+                    *other = wall;
+                }
+                let is_alone = *own == piece && *other == wall;
+                doubt[wall as usize] |= !is_alone;
+                doubt[*other as usize] |= !is_alone;
+            }
         }
-        let component_of = strands.join_by_walls(&self.ends);
-        let part = |strand: usize| strands.strand(strand).1;
-        let mut others = vec![false; strands.len()];
-        for (strand, walls) in self.ends.of.iter().enumerate() {
-            let at_small = |wall: &u32| *wall != NO_WALL && is_small[*wall as usize];
-            others[part(strand) as usize] |= !walls.iter().any(at_small);
+        let ranges = self.first.windows(2).map(|w| w[0] as usize..w[1] as usize);
+        ranges.map(|range| doubt[range].to_vec()).collect()
+    }
+
+    /// Connects the strands by the walls of parts that are whole, of each surface.
+    pub(super) fn join(
+        self,
+        strands: &mut Strands,
+        are_whole: &[Vec<bool>],
+        small: &[SmallPart],
+    ) -> KnownParts {
+        let ends = WallEnds {
+            of: self.of,
+            is_whole: are_whole.concat(),
+        };
+        let component_of = strands.join_by_walls(&ends);
+        let mut strand_at = vec![None; ends.is_whole.len()];
+        for (strand, walls) in ends.of.iter().enumerate() {
+            for wall in walls.iter().filter(|w| **w != NO_WALL) {
+                strand_at[*wall as usize].get_or_insert(strand);
+            }
         }
-        let alone = (0..strands.len()).filter(|s| part(*s) as usize == *s && !others[*s]);
-        KnownParts {
-            replaced: alone.map(|s| s as u32).collect(),
-            component_of,
+        let mut known = KnownParts::default();
+        for (number, part) in small.iter().enumerate() {
+            let wall = self.first[usize::from(part.region)] + part.part;
+            match strand_at[wall as usize] {
+                Some(strand) => {
+                    known.small_of.insert(component_of[strand], number);
+                }
+                None => known.missed.push(number),
+            }
         }
+        known.component_of = component_of;
+        known
     }
 }

@@ -1,6 +1,6 @@
 //! Warnings about deviations of a model from its input, by the thresholds of the scene.
 
-use super::component_loss::ComponentLoss;
+use super::component_loss::{CRUMB_MM3, ComponentLoss};
 use super::contact_change::ContactReport;
 use super::{BuildReport, FaultKind, RegionReport, SurfaceFault, SurfaceReport, ThinKind};
 use crate::scene::{Scene, Thresholds};
@@ -54,8 +54,15 @@ pub(super) fn warn(report: &mut BuildReport, faulty: &[usize], scene: &Scene) {
         ));
     }
     report.deviations = faulty.len() + warnings.len();
-    // No threshold decides on these: pieces of the model and components of the input are counted in different ways.
+    // No threshold decides on these: pieces of the model and components of the input are counted in different ways, and
+    // crumbs may be noise.
     warnings.extend(report.regions.iter().filter_map(of_pieces));
+    warnings.extend(report.component_loss.crumbs.iter().map(|crumbs| {
+        format!(
+            "{} components of region {:?} below {CRUMB_MM3} mm³ each, {:.1} mm³ in all, are lost",
+            crumbs.count, crumbs.region, crumbs.volume_mm3
+        )
+    }));
     report.warnings.append(&mut warnings);
 }
 

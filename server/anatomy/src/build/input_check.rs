@@ -60,7 +60,7 @@ pub(super) fn size(surfaces: &[&Surface], spacing: f64) -> Result<(), InputError
     )))
 }
 
-/// Rejects regions that are farther from all others than these are across, and warns of regions beside the others and of
+/// Rejects regions that are farther from all others than it or they are across, and warns of regions beside the others and of
 /// those that stick out of the first one.
 pub(super) fn nesting(
     input: &SceneInput,
@@ -77,27 +77,24 @@ pub(super) fn nesting(
     for (r, surface) in input.surfaces.iter().enumerate().skip(1) {
         let Some(own) = boxes[r] else { continue };
         let others = (0..boxes.len()).filter(|o| *o != r);
-        let others = || others.clone().filter_map(|o| boxes[o]);
-        let gap = others()
-            .map(|b| gap(&own, &b))
-            .fold(f64::INFINITY, f64::min);
-        let ends: Vec<Vec3> = others().flat_map(|b| [b.min, b.max]).collect();
-        let reach = Aabb::around(&ends).map_or(0.0, |b| b.extent().max());
-        if gap > reach {
+        let others: Vec<Aabb> = others.filter_map(|o| boxes[o]).collect();
+        let gaps = others.iter().map(|b| gap(&own, b));
+        let gap = gaps.fold(f64::INFINITY, f64::min);
+        let ends = others.iter().flat_map(|b| [&b.min, &b.max]);
+        let reach = Aabb::around(ends).map_or(0.0, |b| b.extent().max());
+        if gap > reach.max(own.extent().max()) {
             let side = |a: usize| format!("{:.0}..{:.0}", own.min[a] * 1e3, own.max[a] * 1e3);
             let at = format!("x {}, y {}, z {} mm", side(0), side(1), side(2));
             return Err(InputError::new(format_args!(
-                "region {:?} lies wholly outside the others, the outermost region {:?} among them (it \
-                 spans {at}), and farther from them than they are across; check its unit and whether all files are in \
-                 one frame",
-                name(r),
-                name(0)
+                "region {:?} lies wholly outside the others (it spans {at}), and farther from them than it or they are \
+                 across; check its unit and whether all files are in one frame",
+                name(r)
             )));
         }
         if gap > spacing {
             warnings.push(format!(
-                "region {:?} lies {:.1} mm beside the others, as a part of its own; if that is not intended, check its \
-                 unit and whether all files are in one frame",
+                "region {:?} lies beside the others, {:.1} mm from box to box, as a part of its own; if that is not \
+                 intended, check its unit and whether all files are in one frame",
                 name(r),
                 gap * 1e3
             ));

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::bvh::{Bvh, LineSide};
 use super::occupancy_grid::OccupancyGrid;
-use super::rays::{Winding, hit_at};
+use super::rays::{Winding, along_ray, hit_at, inside};
 use crate::Surface;
 
 /// Finds the region that contains a point.
@@ -57,6 +57,17 @@ impl PointQuery {
             .find(|&r| self.contains(r, point))
     }
 
+    /// Number of regions.
+    pub(super) fn regions(&self) -> usize {
+        self.surfaces.len()
+    }
+
+    /// The stretches of the line along `axis` through a point that lie inside region `r`'s own surface, regardless of other
+    /// regions, from low to high.
+    pub(super) fn inside_along(&self, region: usize, point: Vec3, axis: usize) -> Vec<[f64; 2]> {
+        self.surfaces[region].inside_along(point, axis)
+    }
+
     /// Whether region `r`'s own surface contains the point, regardless of other regions.
     pub(super) fn contains(&self, region: usize, point: Vec3) -> bool {
         self.surfaces[region].contains(point)
@@ -70,6 +81,22 @@ impl Body {
         }
         let known = self.occupancy.contains(&point);
         known.unwrap_or_else(|| self.ray_contains(point))
+    }
+
+    fn inside_along(&self, point: Vec3, axis: usize) -> Vec<[f64; 2]> {
+        let sides = [(axis + 1) % 3, (axis + 2) % 3];
+        let mut hits = Vec::new();
+        self.tree
+            .for_line(&point, axis, LineSide::Both, |at, corners| {
+                if let Some(mut hit) = hit_at(corners, axis, sides.map(|a| at[a])) {
+                    hit.depth += point[axis] - at[axis];
+                    hits.push(hit);
+                }
+            });
+        hits.sort_by(along_ray);
+        let mut stretches = Vec::new();
+        inside(&hits, |from, to| stretches.push([from, to]));
+        stretches
     }
 
     fn ray_contains(&self, point: Vec3) -> bool {

@@ -60,7 +60,8 @@ mod volume_correction;
 mod walls;
 
 pub use component_loss::{
-    COMPONENTS_MAX, CRUMB_MM3, ComponentLoss, ComponentReport, KEPT_MIN, MergedComponent,
+    COMPONENTS_MAX, CRUMB_MM3, ComponentLoss, ComponentReport, KEPT_MIN, LostCrumbs,
+    MergedComponent,
 };
 pub use contact_change::ContactReport;
 pub use gaps::GapReport;

@@ -10,7 +10,7 @@ use nalgebra::Matrix3;
 use palpate_tissue::{Model, RegionId, Vec3};
 use rayon::prelude::*;
 
-use super::components::{Component, KnownParts, PartWalls, Shared, components, merge};
+use super::components::{Component, KnownParts, PartWalls, Piece, Shared, components, merge};
 use super::faces::Face;
 use super::grid::Grid;
 use super::inside::PointQuery;
@@ -53,8 +53,8 @@ struct Rows {
     step: [f64; 2],
 }
 
-/// Hits of rays below which a closed part is measured by lines of its own: a ball three spacings across has twice as many
-/// hits as rays meet it, 64.
+/// Hits of rays below which a whole closed part is measured by lines of its own: 64 rays measure a volume within some
+/// percent.
 const FEW_HITS: u32 = 128;
 
 /// Rays across a cell, along y and along z.
@@ -159,15 +159,21 @@ impl InputRays {
         let mut strands = Strands::of_hits(&hits, &frame.rays, 0.0, 1.0);
         let kept = strands.kept(&hits);
         let walls = PartWalls::of(&strands, &hits, &frame.rays, parts);
-        let small = surfaces.iter().enumerate().flat_map(|(region, surface)| {
-            let is_small = |part| walls.hits(region, part) < FEW_HITS;
-            let query = (query, grid.spacing);
-            small_parts(region, surface, &parts[region], query, is_small)
+        let doubt = walls.in_doubt(&strands, FEW_HITS);
+        let are_whole = |(r, doubt): (usize, &Vec<bool>)| {
+            parts[r].are_whole(surfaces[r], r, doubt, (query, grid.spacing))
+        };
+        let whole: Vec<Vec<bool>> = doubt.iter().enumerate().map(are_whole).collect();
+        let small = surfaces.iter().enumerate().flat_map(|(r, surface)| {
+            // What later regions leave of a part may be several components, which only rays tell apart.
+            let hits = |part| walls.hits(r, part);
+            let is_small = |p| hits(p) == 0 || (hits(p) < FEW_HITS && whole[r][p as usize]);
+            small_parts(r, surface, &parts[r], query, is_small)
         });
         let small: Vec<SmallPart> = small.collect();
         Self {
             kept,
-            known: walls.join(&mut strands, &small),
+            known: walls.join(&mut strands, &whole, &small),
             small,
             strands,
             frame,
@@ -272,25 +278,28 @@ impl InputRays {
         }
         let mut shared: Vec<Shared> = rows.into_iter().flat_map(|r| r.shared).collect();
         merge(&mut shared);
-        let mut components = self.components(&shared);
-        components.append(&mut self.small_components(model, faces, &own));
+        let measured = self.small_pieces(model, faces, &own);
         Overlap {
             volumes,
-            components,
+            components: self.components(&shared, &measured),
         }
     }
 
-    /// The components of the input, in the order of their first strands; small parts follow.
-    fn components(&self, shared: &[Shared]) -> Vec<Component> {
+    /// The components of the input: those of strands, then those that no strand meets. `measured` are the small parts.
+    fn components(&self, shared: &[Shared], measured: &[Piece]) -> Vec<Component> {
         let point = |row, depth| self.point(row, depth);
         let unit = self.strand_volume();
-        components(&self.strands, shared, &self.known, point, unit)
+        let known = (&self.known, measured);
+        let mut components = components(&self.strands, shared, known, point, unit);
+        let missed = self.known.missed.iter();
+        components.extend(missed.map(|small| Component::from(measured[*small])));
+        components
     }
 
-    /// The components that small parts are.
-    fn small_components(&self, model: &Model, faces: &[Face], own: &Strands) -> Vec<Component> {
+    /// Measures the small parts in the model.
+    fn small_pieces(&self, model: &Model, faces: &[Face], own: &Strands) -> Vec<Piece> {
         let same = self.small.chunk_by(|a, b| a.region == b.region);
-        let components = same.map(|parts| {
+        let pieces = same.map(|parts| {
             let region = parts[0].region;
             let surface = Surface {
                 vertices: model.nodes.clone(),
@@ -299,12 +308,13 @@ impl InputRays {
             let is_empty = surface.triangles.is_empty();
             let middle = self.frame.to_world.origin;
             let query = (!is_empty).then(|| PointQuery::new(&[&surface], middle, model.spacing_m));
-            let holds = |p| query.as_ref().is_some_and(|query| query.contains(0, p));
-            let piece = |p| self.frame.nearest(own, region, p);
-            let parts = parts.par_iter().map(|part| part.component(holds, piece));
-            parts.collect::<Vec<_>>()
+            let component = |p| self.frame.nearest(own, region, p);
+            let parts = parts.par_iter();
+            parts
+                .map(|part| part.piece(query.as_ref(), component))
+                .collect::<Vec<_>>()
         });
-        components.flatten().collect()
+        pieces.flatten().collect()
     }
 }
 
@@ -575,7 +585,7 @@ mod tests {
             let region = crate::labels::LabelRegion { labels: vec![1] };
             let voxels = crate::labels::voxel_runs(&volume, "a.nii".as_ref(), &[region]).unwrap();
             for spacing in [1e-3, 4e-3] {
-                let components = InputRays::of_voxels(&voxels, spacing).components(&[]);
+                let components = InputRays::of_voxels(&voxels, spacing).components(&[], &[]);
                 let away = step.iter().filter(|s| **s != 1).count();
                 assert_eq!(
                     components.len(),

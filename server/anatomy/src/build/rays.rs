@@ -73,40 +73,49 @@ impl Hits {
     }
 
     /// Calls `each` with every stretch of a ray that lies inside; see [`Winding`].
-    pub(super) fn inside(&self, ray: usize, mut each: impl FnMut(f64, f64)) {
-        let mut last: Option<(f64, f64)> = None;
-        self.windings(ray, |from, to, _| match &mut last {
-            Some(last) if last.1 == from => last.1 = to,
-            _ => {
-                if let Some((from, to)) = last.replace((from, to)) {
-                    each(from, to);
-                }
-            }
-        });
-        if let Some((from, to)) = last {
-            each(from, to);
-        }
+    pub(super) fn inside(&self, ray: usize, each: impl FnMut(f64, f64)) {
+        inside(self.of(ray), each);
     }
 
-    /// Calls `each` with every stretch of a ray whose winding number is not zero, and that number. Where the turns
-    /// do not cancel, every other stretch has the number one. Returns whether they cancel.
-    pub(super) fn windings(&self, ray: usize, mut each: impl FnMut(f64, f64, i32)) -> bool {
-        let hits = self.of(ray);
-        let cancel = hits.iter().map(|h| i32::from(h.turn)).sum::<i32>() == 0;
-        let (mut winding, mut from) = (0_i32, 0.0);
-        for hit in hits {
-            if winding != 0 && hit.depth > from {
-                each(from, hit.depth, winding);
-            }
-            winding = if cancel {
-                winding + i32::from(hit.turn)
-            } else {
-                1 - winding
-            };
-            from = hit.depth;
-        }
-        cancel
+    /// See [`windings`].
+    pub(super) fn windings(&self, ray: usize, each: impl FnMut(f64, f64, i32)) -> bool {
+        windings(self.of(ray), each)
     }
+}
+
+/// Calls `each` with every stretch of a ray with these hits, from low to high, that lies inside; see [`Winding`].
+pub(super) fn inside(hits: &[Hit], mut each: impl FnMut(f64, f64)) {
+    let mut last: Option<(f64, f64)> = None;
+    windings(hits, |from, to, _| match &mut last {
+        Some(last) if last.1 == from => last.1 = to,
+        _ => {
+            if let Some((from, to)) = last.replace((from, to)) {
+                each(from, to);
+            }
+        }
+    });
+    if let Some((from, to)) = last {
+        each(from, to);
+    }
+}
+
+/// Calls `each` with every stretch of a ray whose winding number is not zero, and that number. Where the turns do not
+/// cancel, every other stretch has the number one. Returns whether they cancel.
+fn windings(hits: &[Hit], mut each: impl FnMut(f64, f64, i32)) -> bool {
+    let cancel = hits.iter().map(|h| i32::from(h.turn)).sum::<i32>() == 0;
+    let (mut winding, mut from) = (0_i32, 0.0);
+    for hit in hits {
+        if winding != 0 && hit.depth > from {
+            each(from, hit.depth, winding);
+        }
+        winding = if cancel {
+            winding + i32::from(hit.turn)
+        } else {
+            1 - winding
+        };
+        from = hit.depth;
+    }
+    cancel
 }
 
 /// Decides from the hits of a whole line, in any order, whether a point on it lies inside.
@@ -161,13 +170,14 @@ pub(super) fn cast_at(vertices: &[Vec3], triangles: &[[u32; 3]], rays: &Rays) ->
             all
         });
     let mut hits = Rows::new(rays.count[0] * rays.count[1], found.iter().copied());
-    // At equal depth the order must not depend on the thread that found a hit.
-    let order = |a: &Hit, b: &Hit| {
-        let depth = a.depth.total_cmp(&b.depth);
-        depth.then((b.turn, a.triangle).cmp(&(a.turn, b.triangle)))
-    };
-    hits.sort_rows(order);
+    hits.sort_rows(along_ray);
     Hits(hits)
+}
+
+/// The order of hits along a ray. At equal depth it must not depend on the thread that found a hit.
+pub(super) fn along_ray(a: &Hit, b: &Hit) -> std::cmp::Ordering {
+    let depth = a.depth.total_cmp(&b.depth);
+    depth.then((b.turn, a.triangle).cmp(&(a.turn, b.triangle)))
 }
 
 fn cast_triangle(triangle: u32, corners: &[Vec3; 3], rays: &Rays, found: &mut Vec<(u32, Hit)>) {

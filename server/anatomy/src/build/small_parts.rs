@@ -8,7 +8,8 @@ use std::collections::BTreeMap;
 use palpate_tissue::Vec3;
 use rayon::prelude::*;
 
-use super::components::{Component, Piece};
+use super::bvh::{Bvh, LineSide};
+use super::components::Piece;
 use super::inside::{PointQuery, facing};
 use super::interfaces::halve;
 use super::parts::ClosedParts;
@@ -17,12 +18,9 @@ use crate::Surface;
 
 /// Lines through a part: at least half of them enter it at different places, at most twice as many.
 const LINES: usize = 64;
-/// Samples of a line; one of them in its middle.
-const SAMPLES: usize = 5;
-/// A part is whole when later regions take less than this of it: rounding.
-const WHOLE: f64 = 1e-9;
-/// Distance of the probes before and behind the wall of a part, in spacings.
-const LOOK: f64 = 1e-3;
+
+/// Distance in m between two positions of a wall in single precision, at most.
+const WALL: f64 = 1e-7;
 
 /// A small closed part of a region's surface that encloses a volume of its own.
 pub(super) struct SmallPart {
@@ -30,23 +28,40 @@ pub(super) struct SmallPart {
     pub(super) region: u8,
     /// Its number among the closed parts of the region.
     pub(super) part: u32,
-    /// Whether no later region takes any of it.
-    pub(super) is_whole: bool,
     /// Volume in m³ less what later regions take.
     volume: f64,
-    /// The sample next to the middle of all.
-    at: Vec3,
-    /// Points of the region inside, each with the volume that it stands for, in any unit.
-    samples: Vec<(Vec3, f64)>,
+    /// The axis of its lines.
+    axis: usize,
+    /// Stretches of lines inside.
+    stretches: Vec<Stretch>,
+}
+
+/// A stretch of a line along an axis.
+#[derive(Debug, Clone, Copy)]
+struct Stretch {
+    from: Vec3,
+    length: f64,
+    /// Area across the line that it stands for, in m².
+    area: f64,
+}
+
+impl Stretch {
+    fn volume(&self) -> f64 {
+        self.length * self.area
+    }
+
+    fn middle(&self, axis: usize) -> Vec3 {
+        self.from + Vec3::ith(axis, self.length / 2.0)
+    }
 }
 
 /// Measures those closed parts of a region for which `is_small` holds. Cavities are left out, and so are parts of which
-/// nothing remains, or whose wall lies within their own region.
+/// nothing remains.
 pub(super) fn small_parts(
     region: usize,
     surface: &Surface,
     parts: &ClosedParts,
-    (query, spacing): (&PointQuery, f64),
+    query: &PointQuery,
     is_small: impl Fn(u32) -> bool,
 ) -> Vec<SmallPart> {
     let mut triangles: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
@@ -57,7 +72,7 @@ pub(super) fn small_parts(
     }
     let measure = |(part, triangles): (u32, Vec<u32>)| {
         let own = part_of(surface, &triangles);
-        SmallPart::measure(&own, (region, part), query, spacing)
+        SmallPart::measure(&own, (region, part), query)
     };
     let triangles: Vec<_> = triangles.into_iter().collect();
     triangles.into_par_iter().filter_map(measure).collect()
@@ -79,85 +94,107 @@ fn part_of(surface: &Surface, triangles: &[u32]) -> Surface {
     own
 }
 
-/// A line's stretch inside a part.
-struct Stretch {
-    from: Vec3,
-    to: Vec3,
-    /// Area across the line that it stands for, in m².
-    area: f64,
-}
-
 impl SmallPart {
-    fn measure(
-        own: &Surface,
-        (region, part): (usize, u32),
-        query: &PointQuery,
-        spacing: f64,
-    ) -> Option<Self> {
+    fn measure(own: &Surface, (region, part): (usize, u32), query: &PointQuery) -> Option<Self> {
         let volume = own.volume();
         if volume <= 0.0 {
             return None;
         }
         let axis = facing(own);
-        let along = Vec3::ith(axis, 1.0);
-        let look = along * (LOOK * spacing);
-        let mut whole = 0.0;
-        let mut samples = Vec::new();
-        for stretch in stretches(own, axis) {
-            let beyond = [stretch.from - look, stretch.to + look];
-            if beyond.iter().any(|p| query.contains(region, *p)) {
-                return None;
+        let (mut whole, mut stretches) = (0.0, Vec::new());
+        for stretch in stretches_of(own, axis) {
+            whole += stretch.volume();
+            let along = |r: usize| query.inside_along(r, stretch.from, axis);
+            let mut inside = vec![[0.0, stretch.length]];
+            let from = stretch.from[axis];
+            let relative = |[a, b]: [f64; 2]| [a - from, b - from];
+            // A part that lies within another one of its region is no component.
+            let region_own = along(region).into_iter().map(relative);
+            let region_own: Vec<[f64; 2]> = region_own.filter(|s| s[0] > -WALL).collect();
+            inside = common(&inside, &region_own);
+            for later in region + 1..query.regions() {
+                if !inside.is_empty() {
+                    let later: Vec<[f64; 2]> = along(later).into_iter().map(relative).collect();
+                    inside = common(&inside, &gaps(&later));
+                }
             }
-            let share = (stretch.to - stretch.from).dot(&along) * stretch.area;
-            whole += share;
-            let points = (0..SAMPLES).map(|sample| {
-                let part = (sample as f64 + 0.5) / SAMPLES as f64;
-                stretch.from.lerp(&stretch.to, part)
-            });
-            let kept = points.filter(|p| query.region_at(*p) == Some(region));
-            samples.extend(kept.map(|p| (p, share / SAMPLES as f64)));
+            stretches.extend(inside.iter().map(|[a, b]| Stretch {
+                from: stretch.from + Vec3::ith(axis, *a),
+                length: b - a,
+                area: stretch.area,
+            }));
         }
-        let kept: f64 = samples.iter().map(|s| s.1).sum();
-        let middle = samples.iter().map(|s| s.0 * s.1).sum::<Vec3>() / kept;
-        let points = samples.iter().map(|s| s.0);
-        let off = |p: &Vec3| (p - middle).norm_squared();
-        Some(Self {
+        let kept: f64 = stretches.iter().map(Stretch::volume).sum();
+        (kept > 0.0).then_some(Self {
             region: region as u8,
             part,
-            is_whole: kept > whole * (1.0 - WHOLE),
-            volume: volume * kept / whole,
-            at: points.min_by(|p, q| off(p).total_cmp(&off(q)))?,
-            samples,
+            volume: volume * (kept / whole).min(1.0),
+            axis,
+            stretches,
         })
     }
 
-    /// The component that the part is. `holds` tells whether the model's region contains a point, `piece` the component
-    /// of the model there.
-    pub(super) fn component(
+    /// The component that the part is. `query` is that of the model's region, if the model has one, and `component` finds the
+    /// component of the model at a point.
+    pub(super) fn piece(
         &self,
-        holds: impl Fn(Vec3) -> bool,
-        piece: impl Fn(Vec3) -> Option<u32>,
-    ) -> Component {
-        let (mut all, mut kept, mut within) = (0.0, 0.0, None);
-        for &(point, share) in &self.samples {
-            all += share;
-            if holds(point) {
-                kept += share;
-                within = within.or_else(|| piece(point));
+        query: Option<&PointQuery>,
+        component: impl Fn(Vec3) -> Option<u32>,
+    ) -> Piece {
+        let axis = self.axis;
+        let (mut all, mut kept, mut most) = (0.0, 0.0, 0.0);
+        let mut within = None;
+        let mut middle = Vec3::zeros();
+        for stretch in &self.stretches {
+            all += stretch.volume();
+            middle += stretch.middle(axis) * stretch.volume();
+            let along = query.map(|q| q.inside_along(0, stretch.from, axis));
+            let from = stretch.from[axis];
+            let span = [from, from + stretch.length];
+            for [a, b] in common(&[span], &along.unwrap_or_default()) {
+                let volume = (b - a) * stretch.area;
+                kept += volume;
+                if volume > most {
+                    let mut at = stretch.from;
+                    at[axis] = f64::midpoint(a, b);
+                    (most, within) = (volume, component(at));
+                }
             }
         }
-        Component::from(Piece {
+        let off = |s: &Stretch| (s.middle(axis) - middle / all).norm_squared();
+        let nearest = self
+            .stretches
+            .iter()
+            .min_by(|s, t| off(s).total_cmp(&off(t)));
+        Piece {
             region: self.region,
             volume: self.volume,
-            kept: kept / all,
-            at: self.at,
+            kept: (kept / all).min(1.0),
+            at: nearest.map_or(middle / all, |s| s.middle(axis)),
             within,
-        })
+        }
     }
 }
 
+/// What two sorted lists of stretches have in common.
+fn common(a: &[[f64; 2]], b: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let pairs = a
+        .iter()
+        .flat_map(|p| b.iter().map(move |q| [p[0].max(q[0]), p[1].min(q[1])]));
+    pairs.filter(|[from, to]| from < to).collect()
+}
+
+/// The stretches between those of a sorted list, and before and after them.
+fn gaps(stretches: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let ends = stretches.iter().map(|s| s[1]);
+    let starts = stretches.iter().map(|s| s[0]);
+    let from = std::iter::once(f64::NEG_INFINITY).chain(ends);
+    let to = starts.chain(std::iter::once(f64::INFINITY));
+    from.zip(to).map(|(from, to)| [from, to]).collect()
+}
+
 /// Stretches of lines along an axis inside a closed surface: a quadrature of its volume.
-fn stretches(own: &Surface, axis: usize) -> Vec<Stretch> {
+fn stretches_of(own: &Surface, axis: usize) -> Vec<Stretch> {
     let sides = [(axis + 1) % 3, (axis + 2) % 3];
     let area = |[a, b, c]: &[Vec3; 3]| (b - a).cross(&(c - a))[axis] / 2.0;
     let corners: Vec<[Vec3; 3]> = (0..own.triangles.len()).map(|t| own.corners(t)).collect();
@@ -174,18 +211,22 @@ fn stretches(own: &Surface, axis: usize) -> Vec<Stretch> {
             }
         }
     }
+    let origin = own.vertices.first().copied().unwrap_or_default();
+    let flat = corners.iter().map(|c| Bvh::flat(&origin, c));
+    let tree = Bvh::new(origin, flat.collect());
     let every = pieces.len().div_ceil(2 * LINES).max(1);
     let stretch = |piece: &[Vec3; 3]| {
         let from = (piece[0] + piece[1] + piece[2]) / 3.0;
-        let at = sides.map(|a| from[a]);
-        let hits = corners.iter().filter_map(|c| hit_at(c, axis, at));
-        let leaves = hits.filter(|h| h.turn < 0 && h.depth > from[axis]);
-        let depth = leaves.map(|h| h.depth).min_by(f64::total_cmp)?;
-        let mut to = from;
-        to[axis] = depth;
-        Some(Stretch {
+        let mut length = f64::INFINITY;
+        tree.for_line(&from, axis, LineSide::After, |at, corners| {
+            let hit = hit_at(corners, axis, sides.map(|a| at[a]));
+            if let Some(hit) = hit.filter(|h| h.turn < 0 && h.depth > at[axis]) {
+                length = length.min(hit.depth - at[axis]);
+            }
+        });
+        length.is_finite().then_some(Stretch {
             from,
-            to,
+            length,
             area: -area(piece),
         })
     };
@@ -201,22 +242,29 @@ mod tests {
     fn stretches_measure_coarse_and_fine_surfaces_along_each_axis() {
         let sides = Vec3::new(2.0, 0.3, 0.05);
         let bodies = [
-            (cuboid(-sides / 2.0, sides / 2.0), sides, 1e-9),
+            (cuboid(-sides / 2.0, sides / 2.0), sides, 1e-6),
             (ball(1.0), Vec3::repeat(4.0 / 3.0), 0.02),
         ];
         for (surface, mean, error) in bodies {
             for axis in 0..3 {
-                let own = stretches(&surface, axis);
+                let own = stretches_of(&surface, axis);
                 assert!(
                     (LINES / 2..=2 * LINES).contains(&own.len()),
                     "{}",
                     own.len()
                 );
                 let area: f64 = own.iter().map(|s| s.area).sum();
-                let volume: f64 = own.iter().map(|s| (s.to - s.from).norm() * s.area).sum();
-                let found = volume / area;
+                let found = own.iter().map(Stretch::volume).sum::<f64>() / area;
                 assert!((found / mean[axis] - 1.0).abs() < error, "{found} {mean}");
             }
         }
+    }
+
+    #[test]
+    fn gaps_and_common_stretches_complete_each_other() {
+        let a = [[0.0, 1.0], [2.0, 5.0]];
+        assert_eq!(common(&[[0.5, 4.0]], &a), [[0.5, 1.0], [2.0, 4.0]]);
+        assert_eq!(common(&[[0.5, 6.0]], &gaps(&a)), [[1.0, 2.0], [5.0, 6.0]]);
+        assert_eq!(common(&[[0.5, 6.0]], &gaps(&[])), [[0.5, 6.0]]);
     }
 }

@@ -314,7 +314,7 @@ fn region_beside_the_others_becomes_a_part_of_its_own() {
     assert_sound(&model, &report);
     assert_eq!(report.outer_surface.components, 2);
     assert!(report.contacts.is_empty(), "{:?}", report.contacts);
-    let named = |w: &&String| w.contains("\"knob\" lies 5.0 mm beside");
+    let named = |w: &&String| w.contains("\"knob\" lies beside the others, 5.0 mm");
     let named = report.warnings.iter().filter(named).count();
     assert_eq!((named, report.deviations), (1, 0), "{:?}", report.warnings);
 }
