@@ -67,8 +67,13 @@ impl SessionFile {
         path: &Path,
         model: &Arc<Model>,
     ) -> Result<(Self, Option<Continued>), ServerError> {
-        let open = OpenOptions::new().read(true).open(path);
-        let (old, bytes) = match open {
+        if std::fs::metadata(path).is_ok_and(|at| !at.is_file()) {
+            return Err(ServerError::Option(format!(
+                "{} is no regular file, which a session file has to be",
+                path.display()
+            )));
+        }
+        let (old, bytes) = match File::open(path) {
             Ok(file) => {
                 lock(&file, path)?;
                 let bytes = std::fs::read(path).map_err(|e| failed("read", path, e))?;
@@ -92,7 +97,7 @@ impl SessionFile {
             if contents.damaged > 0 {
                 let kept = keep_damaged(path, &bytes)?;
                 tracing::warn!(
-                    "the last {} bytes of {} are unfinished or damaged and were left out; {} has the whole file",
+                    "the last {} bytes of {} are unfinished and were left out; {} has the whole file",
                     contents.damaged,
                     path.display(),
                     kept.display()
@@ -226,6 +231,13 @@ impl Contents {
             }
             rest = after;
         }
+        if is_damaged(rest) {
+            return Err(format!(
+                "is damaged at byte {}; give another file to begin with uncut tissue, or cut a copy of it there to continue \
+                 with what is before",
+                bytes.len() - rest.len()
+            ));
+        }
         Ok(Self {
             snapshot,
             changes,
@@ -266,6 +278,14 @@ fn next_record(bytes: &[u8]) -> Option<(u8, &[u8], &[u8])> {
     let (sum, after) = after.split_at_checked(8)?;
     let is_whole = xxh3_64(own).to_le_bytes() == sum && [SNAPSHOT, CHANGE].contains(&own[0]);
     is_whole.then_some((own[0], &own[5..], after))
+}
+
+/// Whether the bytes after the last whole record are no unfinished write: those only append changes.
+fn is_damaged(rest: &[u8]) -> bool {
+    let length = rest.get(1..5).and_then(|l| l.try_into().ok());
+    let after = length.map(|l| 5 + u32::from_le_bytes(l) as usize + 8);
+    let after = after.and_then(|at| rest.get(at..));
+    rest.first() == Some(&SNAPSHOT) || after.is_some_and(|after| next_record(after).is_some())
 }
 
 /// Writes the file. What it should hold is also in memory, so that it can be written anew after an error.
@@ -512,7 +532,7 @@ mod tests {
     }
 
     #[test]
-    fn file_of_another_model_or_host_is_refused_and_stays_unchanged() {
+    fn damaged_and_unfit_files_are_refused_and_stay_unchanged() {
         let (dir, model) = (tempfile::tempdir().unwrap(), model());
         let path = dir.path().join("a.cuts");
         let mut session = Session::new(&model);
@@ -529,6 +549,23 @@ mod tests {
         newer[8] += 1;
         std::fs::write(&path, &newer).unwrap();
         assert!(refusal(&path, &model).contains("protocol version"));
+        session.change(None);
+        session.change(None);
+        std::fs::write(&path, &bytes).unwrap();
+        let (file, _) = opened(&path, &model);
+        file.note(&session.log[1..]);
+        assert!(file.finish());
+        let whole = std::fs::read(&path).unwrap();
+        // The snapshot, and a change with another one after it.
+        for at in [HEADER_BYTES + 30, whole.len() * 3 / 4] {
+            let mut damaged = whole.clone();
+            damaged[at] ^= 1;
+            std::fs::write(&path, &damaged).unwrap();
+            let said = refusal(&path, &model);
+            assert!(said.contains("is damaged at byte"), "{at}: {said}");
+            assert_eq!(std::fs::read(&path).unwrap(), damaged);
+        }
+        assert!(refusal(dir.path(), &model).contains("no regular file"));
         let text = dir.path().join("notes.txt");
         std::fs::write(&text, "a shopping list of the instructor").unwrap();
         assert!(refusal(&text, &model).contains("is no session file"));
