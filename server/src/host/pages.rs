@@ -129,6 +129,11 @@ impl Pages {
         Ok((pages, feed))
     }
 
+    /// Takes the strokes that the session begins with: in effect, and taken back.
+    pub(super) fn set_strokes(&mut self, strokes: [Vec<u64>; 2]) {
+        self.state.set_strokes(strokes);
+    }
+
     /// The address of the page.
     pub(super) fn address(&self) -> PageAddress {
         self.view.address()

@@ -139,7 +139,10 @@ pub(super) fn serve(
         let clock = Box::new(move || server_time(began));
         Pages::start((site, door), clock, &model, &config, links.clone())
     });
-    let (pages, feed) = pages.transpose()?.unzip();
+    let (mut pages, feed) = pages.transpose()?.unzip();
+    if let (Some(pages), Some(continued)) = (&mut pages, &continued) {
+        pages.set_strokes(continued.strokes.clone());
+    }
     let span = tracing::error_span!("session", epoch = config.epoch.0);
     let limit = solver_limit(tick);
     let (room, tissue) = begin(continued, model, config, (limit, feed))?;
@@ -191,7 +194,7 @@ fn begin(
 ) -> Result<(Room, TissueThreads), ServerError> {
     let (tissue, before) = match continued {
         Some(continued) => {
-            let (cuts, state) = (continued.strokes, continued.state);
+            let (cuts, state) = (continued.strokes[0].len(), continued.state);
             super::progress(&format!(
                 "continuing with the {cuts} cuts of the session file"
             ));

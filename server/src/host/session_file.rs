@@ -46,8 +46,8 @@ pub(super) struct Continued {
     pub(super) snapshot: Vec<u8>,
     /// The latest participant whose strokes it has.
     pub(super) newest: ParticipantId,
-    /// Strokes in effect.
-    pub(super) strokes: usize,
+    /// Numbers of the strokes in effect, then of those taken back.
+    pub(super) strokes: [Vec<u64>; 2],
 }
 
 /// The file of a running session.
@@ -265,7 +265,7 @@ impl Contents {
             state,
             snapshot: snapshot(&topology, &history),
             newest: authors.max().unwrap_or(ParticipantId(0)),
-            strokes: numbers[0].len(),
+            strokes: numbers,
             tissue: Tissue::with_history(topology, history),
         }))
     }
@@ -483,9 +483,11 @@ mod tests {
             let (file, before) = opened(&path, &model);
             let before = before.unwrap();
             assert_eq!(before.state, (4, session.hash()));
-            assert_eq!((before.strokes, before.newest), (2, ParticipantId(3)));
-            let history = before.tissue.history();
-            assert_eq!(history.stroke_numbers(), session.history.stroke_numbers());
+            assert_eq!(before.newest, ParticipantId(3));
+            let strokes = session.history.stroke_numbers();
+            assert_eq!([before.strokes[0].len(), before.strokes[1].len()], [2, 1]);
+            assert_eq!(before.strokes, strokes);
+            assert_eq!(before.tissue.history().stroke_numbers(), strokes);
             assert!(file.finish());
         }
         let (file, _) = opened(&path, &model);

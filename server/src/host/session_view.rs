@@ -42,6 +42,11 @@ impl SessionView {
         }
     }
 
+    /// Takes the strokes that the session begins with: in effect, and taken back.
+    pub(super) fn set_strokes(&mut self, strokes: [Vec<u64>; 2]) {
+        self.board.set_strokes(strokes);
+    }
+
     /// Follows the log. After an operation the next state is due soon.
     pub(super) fn follow(&mut self, room: &Room, now: ServerTime) {
         for operation in room.operations_since(self.next) {
