@@ -129,7 +129,9 @@ fn continued_session_sends_its_snapshot_and_resumes_seats_with_it() {
     assert_eq!(first.snapshot.unwrap().topology_version, 5);
     assert_eq!(snapshot(&sent, ANN), [1, 2, 3]);
     let mut seat = Resume::after_welcome(&first, None);
-    operations(&sent, ANN).iter().for_each(|o| seat.note(o));
+    for operation in operations(&sent, ANN) {
+        seat.note(&operation);
+    }
     let lost = CloseReason::ConnectionLost("a test".into());
     room.handle_event(ANN, PeerEvent::Closed(lost), ms(400));
     let PeerEvent::Hello(hello) = hello("ann", Role::Trainee, ToolKind::Scalpel) else {
