@@ -84,8 +84,8 @@ Roles, each with a join link of its own:
 
 The certificate, its key and the secrets in the links are kept in one file that only its owner may read. So links stay
 valid when the host is restarted. A restarted host begins with uncut tissue, unless it has a session file: that keeps
-every cut, with undo and redo, within some milliseconds. Clients that lost the connection join the restarted host by
-themselves.
+every cut, with undo and redo, within some milliseconds. Clients of a host that crashed join the restarted one by
+themselves; Ctrl-C ends the session for all.
 
 Examples:
   palpate-server host thigh                          on port 4433 of all addresses

@@ -32,15 +32,14 @@ pub fn run(options: &JoinOptions) -> Result<Summary, ClientError> {
     let mut options = options.clone();
     loop {
         let began = monotonic_now();
-        let detail = match stay(&options) {
-            Err(ClientError::SeatGone { detail, .. }) if may_join_again(&options) => detail,
+        match stay(&options) {
+            Err(ClientError::SeatGone { .. }) if may_join_again(&options) => {}
             ended => return ended,
-        };
+        }
         let stayed = Duration::from_micros((monotonic_now() - began).as_micros().unsigned_abs());
         options.duration = options.duration.map(|d| d.saturating_sub(stayed));
-        Status::new(options.status, began).print(&format!(
-            "the server no longer has your seat ({detail}); joining again"
-        ));
+        Status::new(options.status, began)
+            .print("the server was restarted, or your seat has expired; joining again");
     }
 }
 
