@@ -198,3 +198,30 @@ fn damaged_and_unfit_files_are_refused_and_stay_unchanged() {
     let absent = dir.path().join("absent/a.cuts");
     assert!(refusal(&absent, &model).contains("cannot write"));
 }
+
+#[test]
+fn cuts_are_written_once_an_error_is_over() {
+    let (dir, model) = (tempfile::tempdir().unwrap(), model());
+    let folder = dir.path().join("disk");
+    std::fs::create_dir(&folder).unwrap();
+    let path = folder.join("a.cuts");
+    let mut session = Session::new(&model);
+    let (file, _) = opened(&path, &model);
+    session.change(None);
+    file.note(&session.log);
+    // A snapshot replaces the file, which is not possible now.
+    std::fs::remove_dir_all(&folder).unwrap();
+    file.cover(1, &snapshot(&session.topology, &session.history));
+    session.change(None);
+    file.note(&session.log[1..]);
+    std::thread::sleep(RETRY / 4);
+    std::fs::create_dir(&folder).unwrap();
+    let began = std::time::Instant::now();
+    while !path.exists() {
+        assert!(began.elapsed() < 20 * RETRY, "nothing is written again");
+        std::thread::sleep(RETRY / 10);
+    }
+    assert!(file.finish());
+    let (_, before) = opened(&path, &model);
+    assert_eq!(before.unwrap().state, (2, session.hash()));
+}
