@@ -299,7 +299,7 @@ fn is_damaged(rest: &[u8]) -> bool {
     rest.first() == Some(&SNAPSHOT) || (is_complete && rest.iter().any(|b| *b != 0))
 }
 
-/// Writes the file. What it should hold is also in memory, so that it can be written anew after an error.
+/// Writes the file. Its whole content is also in memory, so that it can be written again after an error.
 struct Writer {
     path: PathBuf,
     /// Open at its end; `None` after an error.
@@ -356,10 +356,13 @@ impl Writer {
             Entry::Change(operation) => {
                 let version = operation.topology_version_after;
                 let message = ServerMessage::Operation((*operation).clone());
-                // An operation of the log has been in a frame before.
-                if let Ok(frame) = encode_frame(&message) {
-                    let change = record(CHANGE, &frame[PREFIX_BYTES..]);
-                    self.changes.push((version, change));
+                match encode_frame(&message) {
+                    Ok(frame) => {
+                        let change = record(CHANGE, &frame[PREFIX_BYTES..]);
+                        self.changes.push((version, change));
+                    }
+                    // Participants receive operations in such frames, too.
+                    Err(error) => tracing::error!("a cut can not be kept: {error}"),
                 }
                 false
             }

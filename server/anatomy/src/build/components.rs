@@ -88,8 +88,8 @@ pub(super) fn merge(shared: &mut Vec<Shared>) {
     });
 }
 
-/// The components that strands belong to, in the order of their first strands, with the measures of small parts. `point` places a depth of a row of strands
-/// in the world, and `unit` is the volume of a unit of length.
+/// The components that strands belong to, in the order of their first strands, with the measures of small parts. `point`
+/// places a depth of a row of strands in the world, and `unit` is the volume of a unit of length.
 pub(super) fn components(
     strands: &Strands,
     shared: &[Shared],
@@ -154,7 +154,7 @@ pub(super) fn components(
     .collect()
 }
 
-/// What closed parts tell of strands.
+/// The connectivity of strands that follows from closed parts.
 #[derive(Default)]
 pub(super) struct KnownParts {
     /// The component of each strand; without elements each part of the strands is one.

@@ -165,7 +165,7 @@ impl InputRays {
         };
         let whole: Vec<Vec<bool>> = doubt.iter().enumerate().map(are_whole).collect();
         let small = surfaces.iter().enumerate().flat_map(|(r, surface)| {
-            // What later regions leave of a part may be several components, which only rays tell apart.
+            // The rest of a part that later regions cut may be several components, which only rays tell apart.
             let hits = |part| walls.hits(r, part);
             let is_small = |p| hits(p) == 0 || (hits(p) < FEW_HITS && whole[r][p as usize]);
             small_parts(r, surface, &parts[r], query, is_small)

@@ -176,7 +176,7 @@ impl SmallPart {
     }
 }
 
-/// What two sorted lists of stretches have in common.
+/// The common stretches of two sorted lists.
 fn common(a: &[[f64; 2]], b: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let pairs = a
         .iter()

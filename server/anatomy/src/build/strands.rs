@@ -94,8 +94,8 @@ impl Strands {
         Self::of_rows(width, rows, Touching::Face)
     }
 
-    /// Connects the strands anew: not those side by side that whole walls of their own bound at either end. Returns the
-    /// component of each strand: parts that share a whole wall are one.
+    /// Connects the strands again, except those side by side that whole walls of their own bound at either end: the parts are
+    /// pieces. Returns the component of each strand: pieces that share a whole wall are one.
     pub(super) fn join_by_walls(&mut self, ends: &WallEnds) -> Vec<u32> {
         let mut sets = Sets::new(self.all.len());
         let mut first = vec![NO_WALL; ends.is_whole.len()];
